@@ -1,8 +1,8 @@
 """A camera that replays pictures from a folder, and the writer of such folders.
 
 A recording is a folder of grey pictures in any format that OpenCV reads without loss.
-`frames.csv` beside them, with the columns `file,t_s`, gives their order and their times
-(mid-exposure, seconds, increasing).  Without it the pictures are taken in the order of their
+`frames.csv` next to them, with the columns `file,t_s`, gives their order and their times
+(mid-exposure, seconds, increasing).  Without it the pictures are read in the order of their
 names, at an even frame rate.
 """
 
@@ -29,7 +29,7 @@ class _Picture:
 
 
 class FilesCamera:
-    """Replays a recording; each `start` goes on where the last one ended.
+    """Replays a recording; each `start` continues after the end of the last one.
 
     folder         pictures, see above
     frame_rate_hz  rate of pictures without `frames.csv`; with it, the rate follows from it
@@ -46,7 +46,7 @@ class FilesCamera:
     ) -> None:
         self.name = name
         self._folder = folder
-        self._asked_rate_hz = frame_rate_hz
+        self._default_rate_hz = frame_rate_hz
         self._clock = clock
         self._pictures: tuple[_Picture, ...] = ()
         self._rate_hz = frame_rate_hz or 0.0
@@ -55,12 +55,12 @@ class FilesCamera:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Rate of the recording, Hz; 0 before `connect` if `frames.csv` is to say."""
+        """Rate of the recording, Hz; 0 before `connect` if `frames.csv` defines it."""
         return self._rate_hz
 
     @property
-    def left(self) -> int:
-        """Number of pictures that were not read yet."""
+    def remaining(self) -> int:
+        """Number of unread pictures."""
         return len(self._pictures) - self._next
 
     def connect(self) -> None:
@@ -80,13 +80,13 @@ class FilesCamera:
         """Files do not get lost."""
 
     def start(self, frame_count: int) -> None:
-        """Raises CameraError: fewer pictures are left."""
-        left = self.left
-        if not 1 <= frame_count <= left:
+        """Raises CameraError: fewer pictures remain."""
+        remaining = self.remaining
+        if not 1 <= frame_count <= remaining:
             raise CameraError(
                 self.name,
-                f"{frame_count} frames asked for, {left} of {len(self._pictures)} pictures are "
-                f"left in {self._folder}",
+                f"{frame_count} frames asked for, {remaining} of {len(self._pictures)} pictures "
+                f"are left in {self._folder}",
                 "record more, or connect again to begin anew",
             )
         self._begin, self._end = self._next, self._next + frame_count
@@ -118,13 +118,13 @@ class FilesCamera:
         times = self._folder / TIMES_FILE
         if times.exists():
             pictures = self._listed_in(times)
-        elif self._asked_rate_hz is None:
+        elif self._default_rate_hz is None:
             raise ConnectError(
                 self.name, f"{times} is missing", "write it, or give the frame rate of the pictures"
             )
         else:
             files = sorted(f for f in self._folder.iterdir() if f.suffix.lower() in _SUFFIXES)
-            pictures = tuple(_Picture(f, i / self._asked_rate_hz) for i, f in enumerate(files))
+            pictures = tuple(_Picture(f, i / self._default_rate_hz) for i, f in enumerate(files))
         if not pictures:
             raise ConnectError(self.name, f"{self._folder} holds no pictures", "give another one")
         return pictures
@@ -155,8 +155,8 @@ class FilesCamera:
 def video_frames(file: FilePath, frame_rate_hz: float | None = None) -> tuple[float, list[Frame]]:
     """Rate in Hz and frames of a video in any format that OpenCV reads; the first at 0 s.
 
-    frame_rate_hz  None = as the file says
-    raises         ConnectError: it is no video, or says no rate
+    frame_rate_hz  None = that of the file
+    raises         ConnectError: it is no video, or has no rate
     """
     video = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
     try:
@@ -167,8 +167,8 @@ def video_frames(file: FilePath, frame_rate_hz: float | None = None) -> tuple[fl
             raise ConnectError("camera", f"{file} says no frame rate", "give it")
         frames: list[Frame] = []
         while True:
-            there, image = video.read()
-            if not there:
+            success, image = video.read()
+            if not success:
                 return rate_hz, frames
             grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
             frames.append(Frame(len(frames), len(frames) / rate_hz, np.asarray(grey, np.uint8)))

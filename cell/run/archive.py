@@ -1,4 +1,4 @@
-"""Where the evidence of cycles goes: recordings frame by frame, and a ledger that lists them."""
+"""Stores the evidence of cycles: recordings of all frames, and a ledger that lists cycles."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from cell.run.findings import FilmedMotion, Findings, required
 from cell.run.station import ProductTask, Station, Task
 from cell.study.data import Study
 
-#: Versions on which the last digit of a result may depend.
+#: Packages on whose versions the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 
 
 class EventSink(Protocol):
-    """Interface of what receives the messages of a cycle, such as a `Recorder`.
+    """Interface of a receiver of a cycle's messages, such as a `Recorder`.
 
-    notes  what a person should know
+    notes  messages for a person
     """
 
     notes: list[str]
@@ -44,37 +44,37 @@ class EventSink(Protocol):
     def begin(
         self, path: Path, begun: Mapping[str, str], vision: VisionSetup | None = None
     ) -> None:
-        """A recording begins; `vision` = of its frames a band is kept."""
+        """A recording begins; with `vision` only a band of each frame is stored."""
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """A message of a JSON topic."""
 
     def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
-        """The cable as it was seen in frames."""
+        """The cable as detected in frames."""
 
     def end(self, keep: bool = True, whole: bool = False) -> None:
-        """The recording ends; `whole` = its frames are kept whole too."""
+        """The recording ends; with `whole` its full frames are stored, too."""
 
     def note(self, text: str) -> None:
-        """Something that a person should know."""
+        """A message for a person."""
 
     def close(self) -> None:
-        """Nothing more is recorded."""
+        """End recording."""
 
 
 @dataclass(frozen=True)
 class Keeping:
-    """Rule that says which recordings are kept.
+    """Rule for the selection of the recordings that are stored.
 
-    outcomes  cycles with these outcomes are kept
-    every     so is every cycle whose number is a multiple of it; 0 = no others
+    outcomes  cycles with these outcomes are stored
+    every     also each cycle whose number is a multiple of it; 0 = no others
     """
 
     outcomes: frozenset[Outcome] = frozenset(Outcome)
     every: int = 1
 
     def keeps(self, result: Result) -> bool:
-        """Whether the recording of a cycle is kept."""
+        """Whether the recording of a cycle is stored."""
         counted = self.every > 0 and result.cycle % self.every == 0
         return counted or result.outcome in self.outcomes
 
@@ -83,27 +83,27 @@ class Keeping:
 class RecordingSetup:
     """How cycles are recorded.
 
-    settings   as resolved for what a cycle makes
-    files      texts that they refer to, by path: the calibration, effects of one's own
-    whole      whether all frames are kept whole, or a band of those that vision has read
-    retention  what makes room for a recording; None = nothing has to
-    uploads    what brings recordings to a store; None = they stay
+    settings     as resolved for the product of a cycle
+    files        texts that they refer to, by path: the calibration, the user's effects
+    full_frames  whether full frames are stored, or only the band that vision reads
+    retention    deletes old recordings to make room; None = nothing is deleted
+    uploads      sends recordings to a store; None = they stay
     """
 
     recorder: EventSink
     settings: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     keeping: Keeping = Keeping()
-    whole: bool = False
+    full_frames: bool = False
     retention: Retention | None = None
     uploads: Uploads | None = None
 
     def notes(self) -> tuple[str, ...]:
-        """What a person should know."""
+        """Messages for a person."""
         return (*self.recorder.notes, *(() if self.uploads is None else self.uploads.notes))
 
     def close(self) -> None:
-        """Nothing more is recorded; what was is finished, and uploaded if there is time."""
+        """End recording: finish what was begun, and upload it if there is time."""
         try:
             self.recorder.close()
         finally:
@@ -128,7 +128,7 @@ class CycleRecording:
 
     def __init__(self, recording: RecordingSetup | None) -> None:
         self._recording = recording
-        self._told = Findings()
+        self._recorded = Findings()
         self._path = Path()
 
     def begin(
@@ -139,33 +139,33 @@ class CycleRecording:
         plan: Mapping[str, Any],
         task: Task,
     ) -> None:
-        """The cycle begins; `plan` says what is meant to be done."""
+        """The cycle begins; `plan` describes its steps."""
         if self._recording is None:
             return
-        kept = self._recording.retention
-        if kept is not None and (no_room := kept.make_room()):
+        retention = self._recording.retention
+        if retention is not None and (no_room := retention.make_room()):
             self._recording.recorder.note(f"cycle {cycle} is not recorded: {no_room}")
             self._recording = None
             return
         self._path = folder / form.FILE
-        to = self._recording.recorder
-        vision = None if self._recording.whole else VisionSetup(task.view, task.vision)
-        to.begin(self._path, recording_metadata(cycle, started), vision)
-        about = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
+        recorder = self._recording.recorder
+        vision = None if self._recording.full_frames else VisionSetup(task.view, task.vision)
+        recorder.begin(self._path, recording_metadata(cycle, started), vision)
+        identity = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         corners_px = task.view.to_pixels(task.destination.corners_m)
-        to.event(form.CYCLE, {**about, **plan, "destination_px": corners_px.tolist()})
+        recorder.event(form.CYCLE, {**identity, **plan, "destination_px": corners_px.tolist()})
         settings, files = dict(self._recording.settings), dict(self._recording.files)
-        to.event(form.SETTINGS, {"settings": settings, "files": files})
+        recorder.event(form.SETTINGS, {"settings": settings, "files": files})
 
     def state(self, state: str, step: str | None) -> None:
         """A step begins, or the cell's state changes."""
         self._event(form.STATE, {"state": state, "step": step})
 
     def record_findings(self, findings: Findings, station: Station) -> None:
-        """What was found since the last time."""
+        """Record the findings that are new since the last call."""
         if self._recording is None:
             return
-        before, self._told = self._told, findings
+        before, self._recorded = self._recorded, findings
         if findings.filming is not None and findings.filming is not before.filming:
             filming = findings.filming
             self._event(form.TASK, {"model": station.task.model, **vars(station.timing)})
@@ -186,7 +186,7 @@ class CycleRecording:
         self._event(form.STUDY, study_to_plain(study))
 
     def fault(self, fault: Fault) -> None:
-        """Something has ended the cycle."""
+        """A fault has ended the cycle."""
         self._event(form.FAULT, vars(fault))
 
     def end(self, result: Result) -> None:
@@ -194,11 +194,11 @@ class CycleRecording:
         if self._recording is None:
             return
         self._event(form.RESULT, result.to_json())
-        kept = self._recording.keeping.keeps(result)
-        self._recording.recorder.end(kept, result.outcome is not Outcome.INSERTED)
+        keep = self._recording.keeping.keeps(result)
+        self._recording.recorder.end(keep, result.outcome is not Outcome.INSERTED)
         if self._recording.retention is not None:
             self._recording.retention.add(self._path)
-        if kept and self._recording.uploads is not None:
+        if keep and self._recording.uploads is not None:
             self._recording.uploads.add(self._path)
 
     def _event(self, topic: str, data: Mapping[str, Any]) -> None:
@@ -218,7 +218,7 @@ def parameters_of(identified: Identified) -> dict[str, float]:
 
 
 def decision_of(findings: Findings) -> dict[str, Any]:
-    """What was decided, and from what: plain data, every number as it was computed.
+    """The decision and its basis: plain data, every number as it was computed.
 
     raises  LookupError: nothing was decided
     """
@@ -246,18 +246,18 @@ def passage_of(findings: Findings) -> dict[str, Any]:
     Plain data; times in s from the beginning of the motion.
     """
     executed, predicted = required(findings.executed), findings.predicted_choice
-    seen = [s for s in executed.sightings if s.seen]
-    t_s = np.array([s.t_s for s in seen]) - required(findings.candidates).start_s
+    sightings = [s for s in executed.sightings if s.seen]
+    t_s = np.array([s.t_s for s in sightings]) - required(findings.candidates).start_s
     return {
         "t_s": t_s,
-        "tip_m": np.array([s.nodes_m[0] for s in seen]).reshape(-1, 2),
+        "tip_m": np.array([s.nodes_m[0] for s in sightings]).reshape(-1, 2),
         "predicted_m": path_at(t_s, predicted.t_s, predicted.tip_m),
     }
 
 
 @dataclass(frozen=True)
 class LedgerSetup:
-    """The ledger that a cell's cycles are written to, and what is the same for all of them.
+    """The ledger of a cell's cycles, and the columns that are the same for all of them.
 
     line         that the cell belongs to
     calibration  hash of its files; None = as typed
@@ -303,24 +303,24 @@ class CycleListing:
         self._setup.ledger.put(self._entry)
 
     def take_up(self, folder: Path) -> None:
-        """It is the cycle of an earlier run that left this folder, and was not concluded."""
+        """Resume the entry of an unfinished cycle of an earlier run, from its folder."""
         if self._setup is not None:
             self._entry = entry_of_folder(folder, self._setup.line)
 
     def acknowledge(self, by: str, note: str) -> None:
-        """A person says that the cycle's fault was looked at."""
+        """A person acknowledges the cycle's fault."""
         self._put(Acknowledgement(datetime.now(UTC), by, note))
 
     def reset(self, by: str, note: str) -> None:
-        """A person has the cell reset after that: part of the acknowledgement's note."""
-        said = None if self._entry is None else self._entry.acknowledged
-        if said is not None:
+        """A person resets the cell after that: added to the acknowledgement's note."""
+        former = None if self._entry is None else self._entry.acknowledged
+        if former is not None:
             words = ": ".join(filter(None, (f"reset by {by}", note)))
-            self._put(replace(said, note="; ".join(filter(None, (said.note, words)))))
+            self._put(replace(former, note="; ".join(filter(None, (former.note, words)))))
 
-    def _put(self, said: Acknowledgement) -> None:
+    def _put(self, acknowledgement: Acknowledgement) -> None:
         if self._setup is not None and self._entry is not None:
-            self._entry = replace(self._entry, acknowledged=said)
+            self._entry = replace(self._entry, acknowledged=acknowledgement)
             self._setup.ledger.put(self._entry)
 
     def end(
@@ -331,8 +331,8 @@ class CycleListing:
     ) -> None:
         """The cycle has ended.
 
-        identified  None = its cable was not
-        waited      as of its entry
+        identified  None = its cable was not identified
+        waited      waiting times by reason, as in the entry, s
         """
         if self._setup is None or self._entry is None:
             return
@@ -353,23 +353,23 @@ class Archive:
     recording: RecordingSetup | None = None
     ledger: LedgerSetup | None = None
 
-    def recording_of(self, made: ProductTask) -> RecordingSetup | None:
+    def recording_of(self, task: ProductTask) -> RecordingSetup | None:
         """How cycles of a product are recorded: with its settings and files."""
         if self.recording is None:
             return None
-        return replace(self.recording, settings=made.settings, files=made.files)
+        return replace(self.recording, settings=task.settings, files=task.files)
 
-    def ledger_of(self, made: ProductTask) -> LedgerSetup | None:
-        """To which ledger cycles of a product are told: with its calibration."""
-        return None if self.ledger is None else replace(self.ledger, calibration=made.calibration)
+    def ledger_of(self, task: ProductTask) -> LedgerSetup | None:
+        """The ledger for cycles of a product, with its calibration."""
+        return None if self.ledger is None else replace(self.ledger, calibration=task.calibration)
 
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of them."""
+        """Messages for a person."""
         recorded = () if self.recording is None else self.recording.notes()
         return (*recorded, *([] if self.ledger is None else self.ledger.ledger.notes))
 
     def close(self) -> None:
-        """Nothing more comes."""
+        """End recording and listing."""
         with ExitStack() as stack:
             if self.ledger is not None:
                 stack.callback(self.ledger.ledger.close)

@@ -20,8 +20,8 @@ from cell.run.trials import camera_offset_m_rad, moved
 from cell.study.data import Trial
 from drivers.interfaces import Trajectory
 
-#: An offset whose margin is so many times its standard deviation passes surely: no other moment is
-#: looked at, and the offset is only refined.
+#: With a margin of so many standard deviations an offset passes almost certainly: other start times
+#: are not searched, and the offset is only refined.
 SURE_SIGMAS = 4.0
 
 
@@ -30,13 +30,13 @@ class Executing:
     """State of the gripper at the moment at which an insertion is commanded.
 
     The cable still swings from the gripper's motion before; the gripper follows with its known lag,
-    and is seen by the camera at a constant offset from that of the arm.  Time goes on as in the
+    and the camera detects it at a constant offset from the arm's pose.  Time continues that of the
     hold, in which the cable was identified: an effect may depend on it.
 
-    begin_s  when it is told, on the clock of the identification
+    begin_s  start of the command, on the clock of the identification
     history  of the gripper until now, counted from then
-    camera_offset  (3,) x, y, angle of the gripper as the camera sees it, from where the arm says
-                   it is
+    camera_offset  (3,) x, y, angle of the gripper as detected by the camera, minus those that the
+                   arm reports
     """
 
     task: Task
@@ -57,13 +57,13 @@ class Executing:
     def path(
         self, offset_m: float, delay_s: float = 0.0, pace: float = 1.0, further_m: float = 0.0
     ) -> Trajectory:
-        """What the arm would be told."""
+        """Path that the arm would be commanded."""
         task, limits = self.task, self.task.insertion.slowed(pace)
         advance_m, rate_hz = task.advance_m + further_m, self.timing.arm_rate_hz
         return insertion_path(task.lowered, offset_m, advance_m, limits, rate_hz, delay_s=delay_s)
 
     def motion(self, path: Trajectory) -> Motion:
-        """Of the gripper, on the clock of the identification, if the arm is told this."""
+        """Motion of the gripper under a path, on the clock of the identification."""
         hand = executed_motion(
             moved(path, self.camera_offset),
             self.timing.arm_lag_s,

@@ -11,7 +11,7 @@ from cell.cable.arrays import FloatArray
 from cell.records.result import AgreementCheck
 from drivers.interfaces import Trajectory
 
-#: Seen further than this beside the arm's own log, rms, the motion tells no delays, m.
+#: Largest rms distance of the detections from the arm's log that determines a delay, m.
 _MOST_MISFIT_M = 0.0005
 
 
@@ -21,7 +21,7 @@ class CalibratedDelays:
 
     latency_95_s, lag_95_s  half widths of their 95 % intervals when they were calibrated
     most_change_s           beyond those
-    remedy                  what a person does when they have changed
+    remedy                  for a person, when they have changed
     """
 
     latency_95_s: float
@@ -40,28 +40,28 @@ def delay_checks(
 ) -> tuple[AgreementCheck, ...]:
     """Checks of latency and lag against those in use; none if the motion does not determine them.
 
-    stamps_s  (N,) of frames, the latency taken off
-    detected_m  (N, 2) gripping point as seen, nan where it was not
+    stamps_s  (N,) of frames, the latency subtracted
+    detected_m  (N, 2) detected gripping point, nan where it was not detected
     gripper_log  measured poses of the same time
     commanded  the path, its times on the cell's clock
     lag_s     that is in use
     """
     if np.count_nonzero(np.isfinite(detected_m[:, 0])) < LEAST_FRAMES:
         return ()
-    found = (
+    changes = (
         ("camera: stamps late by", latency_change(stamps_s, detected_m, gripper_log)),
         ("arm: lag changed by", lag_change(commanded, gripper_log, lag_s)),
     )
     stored = (known.latency_95_s, known.lag_95_s)
     return tuple(
-        _check(what, delay, known.most_change_s + half_s, known.remedy)
-        for (what, delay), half_s in zip(found, stored, strict=True)
+        _check(name, delay, known.most_change_s + half_s, known.remedy)
+        for (name, delay), half_s in zip(changes, stored, strict=True)
     )
 
 
-def _check(what: str, delay: Delay, most_s: float, remedy: str) -> AgreementCheck:
-    """Refuses only what its own interval does not explain."""
+def _check(name: str, delay: Delay, most_s: float, remedy: str) -> AgreementCheck:
+    """Compare a delay with its limit, widened by the half width of its own interval."""
     most_s += delay.half_width_s
     if delay.rms_m > _MOST_MISFIT_M:
-        return AgreementCheck(f"{what}, not told by this motion", delay.value_s, "s")
-    return AgreementCheck(what, delay.value_s, "s", -most_s, most_s, remedy)
+        return AgreementCheck(f"{name}, not told by this motion", delay.value_s, "s")
+    return AgreementCheck(name, delay.value_s, "s", -most_s, most_s, remedy)

@@ -10,17 +10,17 @@ from drivers.interfaces import DeviceError
 
 INTERRUPTING = frozenset({MachineEvent.STOP, MachineEvent.ABORT})
 PAUSING = frozenset({MachineEvent.HOLD, MachineEvent.SUSPEND})
-#: A command to move that is older is refused, s: whoever gave it expects no motion any more.
+#: An older command to move is refused, s: its sender expects no motion any more.
 OLDEST_S = 1.0
 RESUMING = {MachineEvent.HOLD: MachineEvent.UNHOLD, MachineEvent.SUSPEND: MachineEvent.UNSUSPEND}
 
 
-def too_old(what: str, asked_s: float) -> str:
-    """Why a command that was given at `asked_s` on the monotonic clock is refused; "" = it is not.
+def too_old(what: str, requested_s: float) -> str:
+    """Reason to refuse a command sent at `requested_s` on the monotonic clock; "" = none.
 
-    A time of another clock is refused, too.
+    A time of a different clock is refused, too.
     """
-    age_s = time.monotonic() - asked_s
+    age_s = time.monotonic() - requested_s
     if abs(age_s) <= OLDEST_S:
         return ""
     return (
@@ -30,7 +30,7 @@ def too_old(what: str, asked_s: float) -> str:
 
 
 class InterruptedByCommandError(Exception):
-    """A stop or an abort was given.  Scenario: somebody opens the guard in the middle of a step."""
+    """A stop or an abort came.  Scenario: somebody opens the guard in the middle of a step."""
 
     def __init__(self, event: MachineEvent, reason: str) -> None:
         super().__init__(f"{event.value}: {reason}")
@@ -39,10 +39,10 @@ class InterruptedByCommandError(Exception):
 
 
 class Commands:
-    """Latched commands: given in any thread, obeyed by the cycle at its next chance.
+    """Latched commands: sent from any thread, obeyed by the cycle at its next check.
 
     A stop or an abort interrupts a step; hold and suspend wait until the step has ended, because
-    a swinging cable cannot be stopped half way and go on as if nothing had been.
+    the swing of a cable cannot be interrupted and continued.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Commands:
             self._changed.notify_all()
 
     def check(self) -> None:
-        """Raises InterruptedByCommandError if a stop or an abort was given; DeviceError."""
+        """Raises InterruptedByCommandError after a stop or abort; DeviceError after a failure."""
         with self._changed:
             if self._failure is not None:
                 raise self._failure
@@ -88,25 +88,25 @@ class Commands:
 
     @property
     def aborted(self) -> bool:
-        """Whether an abort was given and not acknowledged."""
+        """Whether there is an abort that was not acknowledged."""
         with self._changed:
             return self._interruption is not None and self._interruption[0] is MachineEvent.ABORT
 
     @property
     def pause(self) -> MachineEvent | None:
-        """The pause asked for and not taken back, if any."""
+        """The requested pause that was not cancelled, if any."""
         with self._changed:
             return self._pauses[0] if self._pauses else None
 
     def resumes(self, event: MachineEvent) -> bool:
-        """Whether `event` takes back a pause that was asked for."""
+        """Whether `event` cancels a requested pause."""
         with self._changed:
             return any(RESUMING[pause] is event for pause in self._pauses)
 
     def wait_until_resumed(self, pause: MachineEvent) -> None:
         """Block while `pause` lasts.  Raises InterruptedByCommandError; DeviceError.
 
-        A stop takes the place of what ended the pause if this process was halted since.
+        A stop replaces the command that ended the pause if this process was halted since.
         """
         with self._changed:
             waited = False

@@ -15,10 +15,10 @@ from cell.records.recording.retention import RecordingRoom
 from cell.run.warm_up import made_up_picture
 from cell.vision.detect import VisionOptions, detect
 
-#: Pictures that vision must be able to look at for each that the camera takes: it has to catch up
-#: after a stall, and the other core computes.
+#: Pictures that vision must process in the time of one of the camera: it has to catch up after a
+#: stall, and the other core computes.
 HEAD_ROOM = 2.0
-#: Stalls that a cell bears: the arm's commands are 2 ms apart, a watch is excused after 20 ms.
+#: Tolerated stalls, s: the arm's commands are 2 ms apart, a watch is excused after 20 ms.
 USUAL_STALL_S, LONGEST_STALL_S = 2e-3, 20e-3
 
 _GIB = 2**30
@@ -29,13 +29,13 @@ _DIMMEST, _NOISE = 0.7, 1.5  # share of the light on the dark side; grey levels
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing that a cell needs of its computer.
+    """A requirement of a cell on its computer.
 
-    name    what it is
-    measured  what this computer has, with its unit
-    needed  what it should have
-    met     whether it has
-    remedy  what to do if not; empty if it is met
+    name      of the property
+    measured  value on this computer, with its unit
+    needed    required value
+    met       whether it is met
+    remedy    for a person; empty if it is met
     """
 
     name: str
@@ -60,7 +60,7 @@ def check_computer(
 ) -> list[Condition]:
     """All conditions; measures stalls for `seconds`, and vision for about a second.
 
-    on_step  told what is being measured
+    on_step  called with the name of each measurement as it begins
     """
     on_step(f"stalls, for {seconds:g} s")
     with StallProbe() as probe:
@@ -76,7 +76,7 @@ def check_computer(
 
 
 def vision_rates_hz(camera: CameraLoad) -> tuple[float, float]:
-    """Pictures per second of one core: with the picture before at hand, and without."""
+    """Pictures per second of one core: with the result of the previous picture, and without."""
     image, view = _full_picture(camera)
     previous = detect(image, 0.0, view, camera.vision)  # loads the code
     begun_s = time.thread_time()
@@ -162,11 +162,11 @@ def _of_stalls(stalls: Stalls) -> list[Condition]:
         "end other programs; leave the cell a core (`isolcpus`, or pin a virtual machine's cores); "
         "use a PREEMPT_RT kernel"
     )
-    found = []
+    conditions = []
     for name, values_s in (("asleep", stalls.slept_s), ("awake", stalls.spun_s)):
         usual_s, longest_s = np.quantile(values_s, [0.99, 1.0])
         met = bool(usual_s <= USUAL_STALL_S and longest_s <= LONGEST_STALL_S)
-        found.append(
+        conditions.append(
             _condition(
                 f"stalls while {name}",
                 f"p99 {1e3 * usual_s:.2f} ms, longest {1e3 * longest_s:.1f} ms",
@@ -175,7 +175,7 @@ def _of_stalls(stalls: Stalls) -> list[Condition]:
                 remedy,
             )
         )
-    return found
+    return conditions
 
 
 def _of_vision(camera: CameraLoad, tracked_hz: float, cold_hz: float) -> Condition:
@@ -189,5 +189,5 @@ def _of_vision(camera: CameraLoad, tracked_hz: float, cold_hz: float) -> Conditi
     )
 
 
-def _condition(name: str, found: str, needed: str, met: bool, remedy: str) -> Condition:
-    return Condition(name, found, needed, met, "" if met else remedy)
+def _condition(name: str, measured: str, needed: str, met: bool, remedy: str) -> Condition:
+    return Condition(name, measured, needed, met, "" if met else remedy)

@@ -23,19 +23,19 @@ from drivers.interfaces import LimitError, TooLateError, Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-#: When the gripper has been told to move so long ago, it must be known how the cable answers, s.
+#: Time after the start of the motion at which the response of the cable must be simulated, s.
 NEEDED_S = 0.1
-#: From a decision's last frame until its change may begin, s: to look, to compute, to tell the arm;
-#: and if the arm says that this was too late.
+#: From a decision's last frame until its change may begin, s: to detect, compute and command; then
+#: the same for a second attempt, after the arm refused the first as too late.
 DEAD_S = (0.04, 0.08)
 
 
 class Corrector:
     """Changes the gripper's path if that makes it more probable that the tip passes.
 
-    Which frames a decision uses depends on their times alone.  Whatever keeps a correction from
-    being found or told leaves the path as it is.  `stopped` says why the gripper was brought to
-    rest in front of the opening; None = it was not.
+    The choice of a decision's frames depends on their timestamps alone.  Without a correction, for
+    any reason, the path stays.  `stopped` is the reason why the gripper was brought to rest in
+    front of the opening; None = it was not.
     """
 
     def __init__(
@@ -88,32 +88,32 @@ class Corrector:
         return False
 
     def close(self) -> None:
-        """Cancel what has not begun."""
+        """Cancel simulations that have not begun."""
         for job in (self._job, self._resimulation):
             if job is not None:
                 job.cancel()
 
     def _begin(self) -> list[float]:
-        """Moments of the decisions, once it is known how the cable answers."""
-        found, task = None, self._station.task
+        """Times of the decisions, once the response of the cable is simulated."""
+        response, task = None, self._station.task
         try:
             with hurried(self._station.computer):
-                found = result_of(self._job, self._station.commands)
+                response = result_of(self._job, self._station.commands)
         except (DivergedError, UnsettledError) as error:
             _LOG.warning("no correction in flight: %s", error)
-        if found is None:
+        if response is None:
             return []
         self._flight = Flight(
-            found,
+            response,
             task.destination,
             detection_std_m(self._identified),
             self._station.timing.arm_lag_s,
             task.choice.repeatability_m,
         )
-        return list(decisions_s(found, task.destination))
+        return list(decisions_s(response, task.destination))
 
     def _simulated(self, flight: Flight) -> Flight:
-        """With the expected motion as simulated anew, if the path was changed since."""
+        """The flight with its motion simulated again, if the path was changed since."""
         job, self._resimulation = self._resimulation, None
         if job is None:
             return flight

@@ -32,13 +32,13 @@ class Cell:
     """A live cell: runs cycles, obeys commands from any thread, and always leaves the arm stopped.
 
     devices   guarded by their limits
-    made      what is done with every cable, until `change_product`
-    runs      folder in which every cycle gets its own
-    computer  computes while frames are looked at; None = a thread
-    watched   look at the devices all the time; only those that run in real time can be
-    archive   where cycles are recorded and listed
-    others    tasks of products that may be changed to: all is loaded for them from the beginning
-    on_step   told of every step as it begins: number of the cycle, name of the step
+    made      task for every cable, until `change_product`
+    runs      parent folder of the cycles' folders
+    computer  executor of computations during the processing of frames; None = a thread
+    watched   whether devices are watched at all times; only real-time ones can be
+    archive   recordings and ledger of cycles
+    others    tasks of products that `change_product` may select: their code is loaded at the start
+    on_step   called with cycle number and step name as each step begins
     """
 
     def __init__(
@@ -54,13 +54,13 @@ class Cell:
         others: Sequence[Task] = (),
     ) -> None:
         self.commands = Commands()
-        #: Says how long was waited since it was asked last, s, by what for; may be set later.
+        #: Waiting times since its last call, s, by reason; may be set later.
         self.waited: Callable[[], Mapping[str, float]] = dict
         self.machine = Machine(devices.clock.now_s)
         computer = ThreadPoolExecutor(1, "ahead") if computer is None else computer
         self._station = Station(devices, made.task, self.commands, computer, tuple(others))
         self._steps = StepRunner(self.machine, self.commands, on_step)
-        self._made = made
+        self._product_task = made
         self._former: Task | None = None
         self._runs = runs
         self._watched = watched
@@ -71,21 +71,21 @@ class Cell:
 
     @property
     def product(self) -> str | None:
-        """What the next cycles make; None = the settings have no products."""
-        return self._made.name
+        """Product of the next cycles; None = the settings have no products."""
+        return self._product_task.name
 
     def now_s(self) -> float:
         """Time on the cell's clock."""
         return self._station.devices.clock.now_s()
 
     def notes(self) -> Sequence[str]:
-        """What a person should know of the recordings and of the ledger."""
+        """Messages for a person, about the recordings and the ledger."""
         return self._archive.notes()
 
     def command(self, event: MachineEvent, reason: str = "") -> None:
         """Stop, abort, hold, unhold, suspend or unsuspend, from any thread, at any time.
 
-        A stop or an abort is given to the arm before this returns.
+        A stop or an abort has reached the arm when this returns.
         """
         _LOG.warning("command %s: %s", event.value, reason)
         self.commands.give(event, reason)
@@ -93,11 +93,11 @@ class Cell:
             endings.stop(self._station.devices, reason or event.value)
 
     def acknowledge(self, by: str = "", note: str = "") -> None:
-        """A person's word that the cause of a stop or an abort is gone.
+        """Acknowledge, in a person's name, that the cause of a stop or an abort is removed.
 
-        The ledger lists it, of all cycles that wait for it; of a stop in Idle only the log does.
+        The ledger lists it for every open cycle; after a stop in Idle only the log does.
 
-        by, note  who says so, and what was done
+        by, note  name of the person, and what was done
         raises    EventRefusedError: the cell is not stopped
         """
         if self.machine.state is CellState.ABORTED:
@@ -112,7 +112,7 @@ class Cell:
             listing.acknowledge(by, note)
 
     def reset(self, by: str = "", note: str = "") -> None:
-        """A person sends the gripper home, which the log and the ledger keep.
+        """Send the gripper home for a person, as listed in log and ledger.
 
         raises  EventRefusedError: the cell is not stopped, or complete
         """
@@ -123,7 +123,7 @@ class Cell:
             listing.reset(by, note)
 
     def take_up(self, folder: Path) -> None:
-        """A cycle of an earlier run to which `acknowledge` refers, too, by its folder."""
+        """Include an open cycle of an earlier run, by its folder, in the next `acknowledge`."""
         listing = CycleListing(self._archive.ledger)
         listing.take_up(folder)
         self._unacknowledged.append(listing)
@@ -137,13 +137,13 @@ class Cell:
             endings.close(self._station.devices)
 
     def change_product(self, made: ProductTask) -> None:
-        """What the next cycles make, one that is prepared too; called between cycles.
+        """Select the product of the next cycles, also of a prepared one; called between cycles.
 
-        The next cycle empties the jaws before anything else, as the product before it lets go.
+        The next cycle first empties the jaws, in the way of the former product.
         """
-        if self._former is None and made.name != self._made.name:
+        if self._former is None and made.name != self._product_task.name:
             self._former = self._station.task
-        self._made = made
+        self._product_task = made
         self._station = replace(self._station, task=made.task)
 
     def rehearsal(self, plan: Plan, speed: float) -> Plan:
@@ -154,21 +154,21 @@ class Cell:
         return rehearsing(plan, self._station.task, self._station.devices.arm.rate_hz, speed)
 
     def run_cycle(self, number: int, plan: Plan = INSERTING, part: str | None = None) -> Result:
-        """One cable from grasp to release; whatever happens, a result, a record and a still arm.
+        """Run a cycle for one cable; even an error leaves a result, a record and a stopped arm.
 
         part    id of the cable; None = it has none
         raises  EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if not self.machine.can(MachineEvent.RESET):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
-        cycle = self._cycle(number, plan)
+        cycle = self._new_cycle(number, plan)
         self._open(cycle, part)
         try:
             cycle.progress.record.settings(cycle.made.settings)
             self._reset(cycle)
             self._work(cycle)
         except BaseException as error:
-            self._end(cycle.progress, error)
+            self._stop_after(cycle.progress, error)
         result = self._conclude(cycle)
         self.come_to_rest()
         del cycle  # and its pictures
@@ -176,17 +176,17 @@ class Cell:
         return result
 
     def prepare(self, number: int, plan: Plan = INSERTING) -> Result | None:
-        """Make ready for a cycle and rest in Idle, where `run_prepared` goes on.
+        """Make ready for a cycle and rest in Idle; `run_prepared` continues.
 
-        returns  None: it is ready, and nothing is recorded yet; or how cycle `number` failed, and
-                 the cell is to `come_to_rest`
+        returns  None: it is ready, and nothing is recorded yet; or the result of a failed cycle
+                 `number`, after which the caller must call `come_to_rest`
         raises   EventRefusedError: the cell was stopped by a fault that nobody acknowledged
         """
         if self.machine.state is not CellState.RESETTING and not self.machine.can(
             MachineEvent.RESET
         ):
             raise EventRefusedError(f"no cycle can begin while {self.machine.state.value}")
-        cycle = self._cycle(number, plan)
+        cycle = self._new_cycle(number, plan)
         try:
             self._reset(cycle)
         except BaseException as error:
@@ -195,47 +195,47 @@ class Cell:
         return None
 
     def run_prepared(self, part: str | None = None) -> Result:
-        """The cycle that is prepared, as `run_cycle`; Start may have been sent already.
+        """Run the prepared cycle, as `run_cycle`; Start may have been sent already.
 
-        After a stop or a fault the cell is still to `come_to_rest`.
+        After a stop or a fault the caller must call `come_to_rest`.
         raises  EventRefusedError: none is prepared
         """
-        cycle = self._as_made_now(self._taken())
+        cycle = self._with_current_product(self._take_prepared())
         try:
             self._open(cycle, part)
             cycle.progress.record.settings(cycle.made.settings)
             self._work(cycle)
         except BaseException as error:
-            self._end(cycle.progress, error)
+            self._stop_after(cycle.progress, error)
         result = self._conclude(cycle)
         del cycle  # and its pictures
         release_free_memory()
         return result
 
     def check(self) -> None:
-        """Whether the cell can rest in Idle.
+        """Check that the cell can rest in Idle.
 
-        raises  InterruptedByCommandError: a stop or an abort was given; DeviceError
+        raises  InterruptedByCommandError: after a stop or an abort; DeviceError
         """
         self.commands.check()
 
     def leave_idle(self, error: BaseException) -> Result:
-        """Stop or abort because of what `check` has raised; the cell is then to `come_to_rest`.
+        """Stop or abort after an error of `check`; then the caller must call `come_to_rest`.
 
-        A fault of a device is recorded as the cycle that was prepared; a command is not.
+        A fault of a device is recorded as the prepared cycle; a command is not recorded.
         raises  EventRefusedError: none is prepared
         """
-        cycle = self._taken()
+        cycle = self._take_prepared()
         cycle.progress.step = CellState.IDLE.value
         if isinstance(error, DeviceError):
             return self._fail(cycle, error)
-        self._end(cycle.progress, error)
+        self._stop_after(cycle.progress, error)
         return self._conclude(cycle)
 
     def come_to_rest(self) -> None:
-        """From Stopping into Stopped, from Aborting into Aborted, when all of that is on record.
+        """Go from Stopping to Stopped, from Aborting to Aborted, after everything is recorded.
 
-        Until then nobody can acknowledge it.  An abort that came meanwhile counts.
+        Only then an acknowledgement is possible.  An abort meanwhile counts.
         """
         if self.machine.state is CellState.STOPPING and self.commands.aborted:
             self.machine.send(MachineEvent.ABORT)
@@ -244,8 +244,8 @@ class Cell:
 
     # --- from the beginning of a cycle to its end ---------------------------------------------
 
-    def _cycle(self, number: int, plan: Plan, *, at_start: bool = False) -> OneCycle:
-        """A cycle to come; `at_start` = it is reset already."""
+    def _new_cycle(self, number: int, plan: Plan, *, at_start: bool = False) -> OneCycle:
+        """A future cycle; `at_start` = it is reset already."""
         if self._former is not None:
             plan = changing_over(plan, self._former, at_start=at_start)
         station = replace(self._station, task=slowed(self._station.task, plan.speed))
@@ -258,24 +258,24 @@ class Cell:
             station,
             plan.initial_findings,
             first,
-            product=self._made.name,
+            product=self._product_task.name,
         )
-        return OneCycle(plan, self._made, progress, self.machine.seconds())
+        return OneCycle(plan, self._product_task, progress, self.machine.seconds())
 
-    def _as_made_now(self, cycle: OneCycle) -> OneCycle:
-        """A cycle that is prepared, or in its place one of the product that it was changed to."""
-        if cycle.made is self._made:
+    def _with_current_product(self, cycle: OneCycle) -> OneCycle:
+        """The prepared cycle, or after a change of product one of the new product."""
+        if cycle.made is self._product_task:
             return cycle
         before = cycle.progress
         before.watch.end()
-        new = self._cycle(before.number, cycle.plan, at_start=True)
+        new = self._new_cycle(before.number, cycle.plan, at_start=True)
         new.before = cycle.before
         new.progress.seconds = before.seconds
         if self._watched:
             new.progress.watch.begin()
         return new
 
-    def _taken(self) -> OneCycle:
+    def _take_prepared(self) -> OneCycle:
         cycle, self._prepared = self._prepared, None
         if cycle is None:
             raise EventRefusedError("no cycle is prepared")
@@ -320,12 +320,12 @@ class Cell:
                 self._steps.send(progress, MachineEvent.START)
             for stages in (plan.starting, plan.execute, plan.completing):
                 self._steps.carry_out(progress, stages)
-                self._former = None  # what it has left was let go
+                self._former = None  # its cable was let go
                 self._steps.send(progress, MachineEvent.DONE)
 
     def _fail(self, cycle: OneCycle, error: BaseException) -> Result:
-        """How a cycle failed that was not begun: it gets a record all the same."""
-        self._end(cycle.progress, error)
+        """Result of a cycle that failed before it began; it is recorded, too."""
+        self._stop_after(cycle.progress, error)
         self._open(cycle, filmed=False)
         return self._conclude(cycle)
 
@@ -348,8 +348,8 @@ class Cell:
         )
         return result
 
-    def _end(self, progress: CycleProgress, error: BaseException) -> None:
-        """Stop, say why, and come to rest in Stopped (by command) or Aborted (by fault)."""
+    def _stop_after(self, progress: CycleProgress, error: BaseException) -> None:
+        """Stop, record the reason, and change to Stopping (by command) or Aborting (by fault)."""
         fault, event = endings.fault_of(progress.step, error)
         foreign = None if isinstance(error, endings.EXPECTED) else error
         _LOG.error("step %s failed: %s", progress.step, error, exc_info=foreign)

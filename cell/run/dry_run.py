@@ -23,10 +23,10 @@ from cell.vision.marks import find_jaw
 from drivers.interfaces import Frame, GripError, Trajectory
 from drivers.servo import servo_response
 
-#: A path is given to the arm so long before it is to start, and by this share of its duration: the
-#: arm looks at all of it first.
+#: A path is sent this share of its duration earlier before its start, because the arm first checks
+#: all of it.
 AHEAD_SHARE = 0.03
-#: The jaw is looked for in about so many frames of a motion.
+#: Approximate number of frames of a motion in which the jaw is detected.
 JAW_SAMPLES = 300
 
 
@@ -41,7 +41,7 @@ def warm_up(station: Station, findings: Findings) -> Findings:
 def reset(station: Station, findings: Findings) -> Findings:
     """Clear our own stop; the jaws stay as they are, and must be empty.  Raises GripError."""
     station.devices.arm.reset()
-    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    station.commands.check()  # after the reset, so that a stop meanwhile is not lost
     gripper = station.devices.gripper
     state = gripper.state()
     if state.holding:
@@ -50,7 +50,7 @@ def reset(station: Station, findings: Findings) -> Findings:
 
 
 def check_paths(movements: Sequence[Movement], station: Station, findings: Findings) -> Findings:
-    """Every path against limits and reach, before anything moves.  Raises LimitError."""
+    """Check every path against limits and reach, before anything moves.  Raises LimitError."""
     paths = allowed_paths(station, movements)
     x_m, y_m = (
         np.concatenate([getattr(path, axis) for _, path in paths]) for axis in ("x_m", "y_m")
@@ -96,7 +96,7 @@ def _with_checks(findings: Findings, *checks: AgreementCheck) -> Findings:
 
 
 def _watch(station: Station, look_every: int) -> JawFilm:
-    """See a recording to its end, looking for the jaw in some of its frames."""
+    """Read a recording to its end, and detect the jaw in some of its frames."""
     task, camera = station.task, station.devices.camera
     frame_s: list[float] = []
     looked_s: list[float] = []
@@ -132,19 +132,19 @@ def after_dry_run(station: Station, findings: Findings) -> Findings:
     return findings
 
 
-#: What a cycle bears of an unknown delay: at 0.2 m/s it moves the tip by 0.4 mm, s.
+#: Tolerated error of a delay, s: at 0.2 m/s it moves the tip by 0.4 mm.
 DELAY_TOLERANCE_S = 0.002
-#: The arm beside its path once the lag is allowed for, and the jaw as seen beside the jaw as
-#: reported once constants are: a forecast of the tip bears about this much, m.
+#: Tolerated residual, m: of the arm from its path after the lag, and of the detected jaw from the
+#: reported one after the fit.  A forecast of the tip tolerates about this much.
 PATH_TOLERANCE_M = 0.0003
-#: A constant distance between the two: destination and limits are in the arm's plane, m.
+#: Tolerated constant offset of the two, m: destination and limits are in the arm's plane.
 OFFSET_TOLERANCE_M = 0.002
 #: Scale and direction of the camera's plane: 0.25 mm over 50 mm.
 SCALE_TOLERANCE, DIRECTION_TOLERANCE_RAD = 0.005, 0.005
 RATE_TOLERANCE = 0.01
-#: Share of the pictures in which the jaw's marks must be found.
+#: Share of the pictures in which the jaw's marks must be detected.
 MIN_DETECTED = 0.9
-#: Delays are looked for up to this, either way, s.
+#: Delays are searched from minus to plus this, s.
 LONGEST_DELAY_S = 0.3
 
 _COARSE = 61
@@ -157,7 +157,7 @@ def agreement(
     """Checks of arm and camera from the motions of a dry run.
 
     lag_s          as in the settings
-    frame_rate_hz  as the camera says
+    frame_rate_hz  as the camera reports
     """
     filmed = [f for f in followed if f.film is not None]
     speeds = [float(np.max(_speed_m_per_s(f.gripper_log))) for f in followed]
@@ -170,32 +170,32 @@ def agreement(
 
 
 def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck]:
-    """Lag of the arm behind its commands, and how far it then is beside its path."""
+    """Lag of the arm behind its commands, and residual distance from its path."""
 
     def residual_m(lag_s: float) -> FloatArray:
         parts = []
-        for one in filmed:
-            hand, begun = one.gripper_log, one.path
-            told = Trajectory(begun.t_s + one.start_s, begun.x_m, begun.y_m, begun.angle_rad)
-            meant = servo_response(told, lag_s, start=hand.at(one.start_s))
-            x_m = np.interp(hand.t_s, meant.t_s, meant.x_m)
-            y_m = np.interp(hand.t_s, meant.t_s, meant.y_m)
+        for motion in filmed:
+            hand, path = motion.gripper_log, motion.path
+            commanded = Trajectory(path.t_s + motion.start_s, path.x_m, path.y_m, path.angle_rad)
+            expected = servo_response(commanded, lag_s, start=hand.at(motion.start_s))
+            x_m = np.interp(hand.t_s, expected.t_s, expected.x_m)
+            y_m = np.interp(hand.t_s, expected.t_s, expected.y_m)
             parts.append(np.hypot(hand.x_m - x_m, hand.y_m - y_m))
         return np.concatenate(parts)
 
-    found_s = _least(lambda s: float(np.mean(residual_m(s) ** 2)), 0.0, LONGEST_DELAY_S)
+    estimate_s = _least(lambda s: float(np.mean(residual_m(s) ** 2)), 0.0, LONGEST_DELAY_S)
     return [
         AgreementCheck(
             "arm: lag",
-            found_s,
+            estimate_s,
             "s",
             lag_s - DELAY_TOLERANCE_S,
             lag_s + DELAY_TOLERANCE_S,
-            f"set arm.lag_s to {found_s:.4f}",
+            f"set arm.lag_s to {estimate_s:.4f}",
         ),
         AgreementCheck(
             "arm: off its path",
-            float(residual_m(found_s).max()),
+            float(residual_m(estimate_s).max()),
             "m",
             high=PATH_TOLERANCE_M,
             remedy="check payload, mounting, arm.gain and arm.lookahead_s",
@@ -206,7 +206,7 @@ def _arm(filmed: Sequence[RehearsedMotion], lag_s: float) -> list[AgreementCheck
 def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[AgreementCheck]:
     films = [f.film for f in filmed if f.film is not None]
     steps_s = np.concatenate([np.diff(film.frame_s) for film in films])
-    found = np.concatenate([np.isfinite(film.jaw_m[:, 0]) for film in films])
+    detected = np.concatenate([np.isfinite(film.jaw_m[:, 0]) for film in films])
     tolerance_hz = RATE_TOLERANCE * frame_rate_hz
     return [
         AgreementCheck("camera: pictures", float(sum(len(film.frame_s) for film in films))),
@@ -220,7 +220,7 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Agr
         ),
         AgreementCheck(
             "camera: jaw found in",
-            float(np.mean(found)),
+            float(np.mean(detected)),
             "",
             MIN_DETECTED,
             remedy="look at the pictures: light, focus, marks, and whether the jaw is in view",
@@ -229,25 +229,25 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Agr
 
 
 def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
-    """The jaw as the camera sees it against the jaw as the arm reports it.
+    """The jaw as detected by the camera, compared with the jaw as reported by the arm.
 
-    seen = shift + scale · turned(reported a delay earlier): for each delay the rest is linear in
-    complex numbers.  The shift is that at the plane's origin, where cables are gripped.
+    observed = shift + scale · turned(reported a delay earlier): linear in complex numbers for a
+    fixed delay.  The shift is that at the plane's origin, where cables are gripped.
     """
-    looks = [_detected_jaw(f) for f in filmed]
-    if sum(len(t_s) for t_s, _, _ in looks) < 3:
+    detections = [_detected_jaw(f) for f in filmed]
+    if sum(len(t_s) for t_s, _, _ in detections) < 3:
         return []
 
     def fit(delay_s: float) -> tuple[FloatArray, complex, complex]:
-        said = np.concatenate([_reported(hand, t_s - delay_s) for t_s, _, hand in looks])
-        seen = np.concatenate([z for _, z, _ in looks])
-        middle = said.mean()
-        columns = np.column_stack([said - middle, np.ones(len(said))])
-        (turn, shift), *_ = np.linalg.lstsq(columns, seen, rcond=None)
-        return np.abs(seen - columns @ [turn, shift]), turn, shift - turn * middle
+        reported = np.concatenate([_reported(hand, t_s - delay_s) for t_s, _, hand in detections])
+        observed = np.concatenate([z for _, z, _ in detections])
+        middle = reported.mean()
+        columns = np.column_stack([reported - middle, np.ones(len(reported))])
+        (turn, shift), *_ = np.linalg.lstsq(columns, observed, rcond=None)
+        return np.abs(observed - columns @ [turn, shift]), turn, shift - turn * middle
 
     delay_s = _least(lambda s: float(np.mean(fit(s)[0] ** 2)), -LONGEST_DELAY_S, LONGEST_DELAY_S)
-    left_m, turn, shift_m = fit(delay_s)
+    residual_m, turn, shift_m = fit(delay_s)
     return [
         AgreementCheck(
             "camera: stamps late by",
@@ -282,7 +282,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
         ),
         AgreementCheck(
             "camera: what remains, rms",
-            float(np.sqrt(np.mean(left_m**2))),
+            float(np.sqrt(np.mean(residual_m**2))),
             "m",
             high=PATH_TOLERANCE_M,
             remedy="check that the camera is square to the plane, its lens and its focus",
@@ -293,12 +293,12 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
 def _detected_jaw(
     followed: RehearsedMotion,
 ) -> tuple[FloatArray, NDArray[np.complex128], Trajectory]:
-    """Times and places, x + iy, at which the jaw was found; and the arm's own."""
+    """Times and positions, x + iy, of the detected jaw; and the arm's own log."""
     film = followed.film
     assert film is not None
-    found = np.isfinite(film.jaw_m[:, 0])
-    jaw_m = film.jaw_m[found]
-    return film.sampled_s[found], jaw_m[:, 0] + 1j * jaw_m[:, 1], followed.gripper_log
+    detected = np.isfinite(film.jaw_m[:, 0])
+    jaw_m = film.jaw_m[detected]
+    return film.sampled_s[detected], jaw_m[:, 0] + 1j * jaw_m[:, 1], followed.gripper_log
 
 
 def _reported(hand: Trajectory, t_s: FloatArray) -> NDArray[np.complex128]:
@@ -306,7 +306,7 @@ def _reported(hand: Trajectory, t_s: FloatArray) -> NDArray[np.complex128]:
 
 
 def _least(cost: Callable[[float], float], low: float, high: float) -> float:
-    """Where `cost` is least: on a coarse grid first, then between its neighbours."""
+    """Argument of the least `cost`: on a coarse grid, then refined between its neighbours."""
     grid = np.linspace(low, high, _COARSE)
     at = int(np.argmin([cost(float(s)) for s in grid]))
     near = grid[max(0, at - 1) : at + 2]

@@ -26,10 +26,10 @@ from cell.vision.sighting import Sighting
 #: scratch; then, starting there, nearly finally, with a simulation of the frames to come and of all
 #: offsets.  The time after each is several times what it needs.
 SHARES = (0.2, 0.6)
-#: The same where insertions may begin later (`Freedom`): to look for them takes as long again.
+#: The same where insertions may begin later (`Freedom`): their search takes as long again.
 SHARES_FREELY = (0.2, 0.45)
 
-#: Where a hold may end early all that is done so long before it may, s, and again from then on …
+#: If a hold may end early, estimates start so long before each possible end, s …
 AHEAD_S, AHEAD_FREELY_S = 0.3, 0.45
 #: … but not before the gripper has rested so long.
 FIRST_S = 0.1
@@ -53,7 +53,7 @@ EstimateResult = EarlyEstimate | Identified | None
 class EarlyEstimator:
     """Identifies a cable in the second process from a hold's first frames, while others arrive.
 
-    Which frames those are depends on their own times alone, and the result is waited for: it is
+    The choice of frames depends on their timestamps alone, and the result is waited for: it is
     the same however busy the computer is.
     """
 
@@ -70,8 +70,8 @@ class EarlyEstimator:
         station, filming = self._station, self._filming
         ending = self._ending_with(len(sightings))
         if ending is not None and len(sightings) < filming.frame_count:
-            found = self._result_of(ending)
-            if isinstance(found, EarlyEstimate) and found.enough:
+            result = self._result_of(ending)
+            if isinstance(result, EarlyEstimate) and result.enough:
                 return True
         rested_s = sightings[-1].t_s - filming.rest_s
         if self._scheduled and rested_s >= self._scheduled[0].after_s:
@@ -80,21 +80,21 @@ class EarlyEstimator:
             so_far = filmed_so_far(station, filming, sightings)
             previous = before.identified if isinstance(before, EarlyEstimate) else before
             end = estimate.filming and replace(estimate.filming, sightings=(), pictures=())
-            asked = station.task, station.timing, so_far, previous, end
-            self._running.append((estimate, station.computer.submit(_estimate, *asked)))
+            arguments = station.task, station.timing, so_far, previous, end
+            self._running.append((estimate, station.computer.submit(_estimate, *arguments)))
         return False
 
     def result(self, frame_count: int) -> EarlyEstimate | None:
         """The estimate for a hold of so many frames, waiting for it; None if there is none.
 
-        No frame is looked at any more, so what computes it need not give way.
+        No frame is processed any more, so the computation need not yield.
         """
         ending = self._ending_with(frame_count)
-        found = None if ending is None else self._result_of(ending)
-        return found if isinstance(found, EarlyEstimate) else None
+        estimate = None if ending is None else self._result_of(ending)
+        return estimate if isinstance(estimate, EarlyEstimate) else None
 
     def close(self) -> None:
-        """Cancel what has not begun."""
+        """Cancel computations that have not begun."""
         for _, job in self._running:
             job.cancel()
 
@@ -110,7 +110,7 @@ class EarlyEstimator:
 
 
 def _schedule(task: Task, timing: Timing, filming: Filming) -> Iterator[ScheduledEstimate]:
-    """What to compute while a hold is filmed, in its order."""
+    """Computations during a hold, in order of time."""
     most_s = filming.end_s - filming.rest_s
     if task.least_hold_s is None:
         first, second = SHARES if task.choice.freely.window_s == 0.0 else SHARES_FREELY
@@ -139,7 +139,7 @@ def _estimate(
     previous: Identified | None,
     filming: Filming | None,
 ) -> EstimateResult:
-    """The cable from the frames so far, and what it will do; None if these are not enough."""
+    """Identification from the frames so far, and forecast; None if these are not enough."""
     trial, options = held_trial(so_far), _leaving_a_core(task.identification)
     quickly = without_gripper_errors(options)
     try:
@@ -160,8 +160,8 @@ def _estimate(
         candidates = simulate_offsets(task, timing, so_far, trial, identified, start_s, solver)
     except (DivergedError, UnsettledError):
         return None
-    asked = candidates.forecast, identified, task.destination, task.choice
-    enough = task.least_hold_s is not None and enough_frames(choose(*asked), *asked)
+    arguments = candidates.forecast, identified, task.destination, task.choice
+    enough = task.least_hold_s is not None and enough_frames(choose(*arguments), *arguments)
     return EarlyEstimate(identified, predicted, candidates, enough)
 
 
@@ -171,7 +171,7 @@ def without_gripper_errors(options: IdentifyOptions) -> IdentifyOptions:
 
 
 def _leaving_a_core(options: IdentifyOptions) -> IdentifyOptions:
-    """One core looks at the frames."""
+    """Options that leave one core to the processing of frames."""
     solver = replace(options.fit.solver, threads=_spare_threads())
     return replace(options, fit=replace(options.fit, solver=solver))
 

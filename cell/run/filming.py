@@ -24,8 +24,8 @@ def film(
 ) -> Filming:
     """Start filming the cable at rest, then follow `path`; returns when the gripper rests again.
 
-    The cable is looked for in the frames meanwhile, so that none wait when the last one comes.
-    keep_every  one frame in so many is kept as a picture
+    The cable is detected in the frames meanwhile, so that none wait when the last one comes.
+    keep_every  one frame in so many is stored as a picture
     """
     arm, camera, clock = station.devices.arm, station.devices.camera, station.devices.clock
     moving_s = float(path.t_s[-1]) + arm.lag_s
@@ -33,7 +33,7 @@ def film(
     begin_s = clock.now_s()
     camera.start(frame_count)
     start_s = begin_s + still_s
-    arm.follow(path, start_s)  # told at once: nothing that takes long can then delay the motion
+    arm.follow(path, start_s)  # at once: no long computation can then delay the motion
     reader = _FrameReader(station, keep_every)
     rest_s = start_s + moving_s
     reader.read_until(rest_s)
@@ -57,12 +57,12 @@ def capture(
 ) -> FilmedMotion:
     """Complete a filming, and check that the arm rests and the cable is still held.
 
-    What follows moves the arm again or opens the jaws; the film may be over before the arm rests.
-    enough  is told of every sighting, and those before it, as it comes; says whether it is the last
+    The next step moves the arm or opens the jaws, but the film may end before the arm rests.
+    enough  called with all sightings so far after each new one; returns whether it is the last
     raises  CameraError, StoppedError, DeviceTimeoutError, GripError
     """
     reader = _FrameReader(station, keep_every, filming)
-    taken_at_s = reader.read_until(np.inf, enough)
+    last_frame_at_s = reader.read_until(np.inf, enough)
     if reader.ended:
         station.devices.camera.stop()
     elif len(reader.sightings) < filming.frame_count:
@@ -75,25 +75,25 @@ def capture(
     check_grip(station)
     hand = station.devices.arm.log(filming.begin_s, station.devices.clock.now_s())
     return FilmedMotion(
-        filming.begin_s, tuple(reader.sightings), hand, tuple(reader.pictures), taken_at_s
+        filming.begin_s, tuple(reader.sightings), hand, tuple(reader.pictures), last_frame_at_s
     )
 
 
 def filmed_so_far(station: Station, filming: Filming, sightings: list[Sighting]) -> FilmedMotion:
-    """The first frames of a filming, without pictures, while the others come."""
+    """The first frames of a filming, without pictures, while more frames arrive."""
     hand = station.devices.arm.log(filming.begin_s, sightings[-1].t_s)
     return FilmedMotion(filming.begin_s, tuple(sightings), hand, (), time.perf_counter())
 
 
-#: A frame that is taken up so many periods later than it could have been has others behind it.
+#: A frame read so many periods later than possible has further frames waiting behind it.
 BEHIND_PERIODS = 2.0
 
 
 class _FrameReader:
-    """Reads the frames of a recording and finds the cable in each; keeps what was seen so far.
+    """Reads the frames of a recording and detects the cable in each; stores all sightings.
 
-    Frames that wait to be looked at are looked at side by side, one on each core, until none waits:
-    a stall of the computer then costs neither frames nor time after the last of them.
+    Waiting frames are processed in parallel, one on each core, until none waits: a stall of the
+    computer then costs neither frames nor time after the last of them.
     """
 
     def __init__(self, station: Station, keep_every: int, filming: Filming | None = None) -> None:
@@ -109,32 +109,32 @@ class _FrameReader:
         until_s: float,
         enough: Callable[[list[Sighting]], bool] = lambda sightings: False,
     ) -> float:
-        """Find the cable in the frames that can be had until a moment on the cell's clock.
+        """Detect the cable in the frames that come until `until_s` on the cell's clock.
 
-        It has `ended` if one was said to be the last.
-        returns  when the last of them was taken, by the computer's own clock
+        Sets `ended` if `enough` declares a frame the last.
+        returns  time of the last frame, by the computer's own clock
         """
         camera, clock = self._station.devices.camera, self._station.devices.clock
-        taken_at_s = float("nan")
+        last_frame_at_s = float("nan")
         while clock.now_s() + 1.0 / camera.frame_rate_hz <= until_s:
             frames = self._waiting_frames()
             if not frames:
                 break
             own_s = time.perf_counter() - clock.now_s()
             self._station.commands.check()
-            for frame, sighting in zip(frames, self._look_at(frames), strict=True):
+            for frame, sighting in zip(frames, self._detect_in(frames), strict=True):
                 self.sightings.append(sighting)
                 if frame.index % self._keep_every == 0:
                     self.pictures.append(frame)
-                taken_at_s = own_s + frame.t_s
+                last_frame_at_s = own_s + frame.t_s
                 self.ended = enough(self.sightings)
                 if self.ended:
-                    return taken_at_s
-        return taken_at_s
+                    return last_frame_at_s
+        return last_frame_at_s
 
     def _waiting_frames(self) -> list[Frame]:
-        """The next frame, waiting for it, and those that wait already, as many as there are cores;
-        none = there are no more.
+        """The next frame, waiting for it, and those that wait already, up to the number of
+        cores; empty = the recording has ended.
         """
         camera = self._station.devices.camera
         frames: list[Frame] = []
@@ -149,18 +149,18 @@ class _FrameReader:
                 break
         return frames
 
-    def _look_at(self, frames: list[Frame]) -> list[Sighting]:
-        """Sightings of frames, in their order; the one before them only saves time."""
+    def _detect_in(self, frames: list[Frame]) -> list[Sighting]:
+        """Sightings of frames, in their order; the previous one only saves time."""
         task, previous = self._station.task, self.sightings[-1] if self.sightings else None
 
         def look(frame: Frame) -> Sighting:
             return detect(frame.image, frame.t_s, task.view, task.vision, previous)
 
-        beside = [_helpers(os.getpid()).submit(look, frame) for frame in frames[1:]]
-        return [look(frames[0]), *(job.result() for job in beside)]
+        others = [_helpers(os.getpid()).submit(look, frame) for frame in frames[1:]]
+        return [look(frames[0]), *(job.result() for job in others)]
 
 
 @lru_cache(maxsize=1)
 def _helpers(process: int) -> ThreadPoolExecutor:
-    """Threads of this process that look at frames beside the one that reads them."""
+    """Threads of this process that process frames in addition to the one that reads them."""
     return ThreadPoolExecutor(max(1, threads() - 1), thread_name_prefix="looking")

@@ -31,7 +31,7 @@ class Filming:
 
     It began at `begin_s`, the gripper rests from `rest_s`, and it is filmed until `end_s`;
     sightings and pictures are those of the frames so far.  `delay_s` is the least time so far from
-    a frame's exposure until it was taken up, s: one that takes longer has waited.
+    a frame's exposure until it was read, s: a frame with a longer one has waited.
     """
 
     begin_s: float
@@ -54,9 +54,9 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class EarlyEstimate:
-    """The cable identified from the first frames of a hold, and what was simulated with it.
+    """The cable identified from the first frames of a hold, and simulations with it.
 
-    predicted   what the frames to come will show, if this is the cable
+    predicted   forecast for the frames to come
     enough      whether more frames would not matter, see `enough_frames`
     """
 
@@ -73,9 +73,9 @@ class FilmedMotion:
     begin_s     when filming began
     sightings   one per frame
     gripper_log  measured poses, from before the first frame to after the last
-    pictures    a few of the frames, to look at later
+    pictures    a few of the frames, for the record
     last_frame_at_s  when the last frame was taken, by the computer's own clock
-    early       what was computed while the filming went on, if anything
+    early       estimate computed during the filming, if any
     """
 
     begin_s: float
@@ -88,11 +88,11 @@ class FilmedMotion:
 
 @dataclass(frozen=True, eq=False)
 class JawFilm:
-    """The jaw as the camera saw it during a motion.
+    """The jaw as detected by the camera during a motion.
 
     frame_s     (n,) times of all frames
-    sampled_s   (m,) times of those in which the jaw was looked for
-    jaw_m       (m, 2) where its marks were seen, nan = not found
+    sampled_s   (m,) times of those in which the jaw was searched
+    jaw_m       (m, 2) detected gripping point, nan = not detected
     pictures    the first and the last frame
     """
 
@@ -106,7 +106,7 @@ class JawFilm:
 class RehearsedMotion:
     """A motion of a dry run, on the cell's clock.
 
-    start_s  when the arm was told to start
+    start_s  commanded start of the arm
     gripper_log  measured poses, from before the motion to after it
     film     None = not filmed
     """
@@ -120,26 +120,26 @@ class RehearsedMotion:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The results of a cycle's steps so far; None = it has not come so far.
+    """The results of a cycle's steps so far; None = not yet computed.
 
     filming     the motion that is being filmed
-    held        the hold after the cable was lowered, or the whole of a measuring motion
-    trials      what was filmed, as it is recorded
+    held        the hold after the cable was lowered, or a complete measuring motion
+    trials      the filmed motions, as recorded
     identified  the cable
-    hold_saved_s     how much less than the longest hold it took
-    lead_s      from now to when a motion that is chosen now would begin
+    hold_saved_s     longest hold minus the actual one
+    lead_s      time from now to the start of a motion chosen now
     simulated_s  when each simulation of the offsets began, on the cell's clock
     waiting_since_s   since when the gripper waits for the computer, by the computer's own clock
-    wait_s      how long it has waited when the choice was made
+    wait_s      its waiting time until the choice
     offset_m    of the choice that is executed
     executed    the execution
     stopped     why the gripper was brought to rest in front of the opening; None = it was not
     stops       the same of earlier tries with this cable; their trials
-    tails       changes of its path that were told in flight; None = without feedback
+    tails       changes of its path that were commanded in flight; None = without feedback
     predicted   (T,) times from when the path began, and (T, 2) tip as last predicted in flight
     followed    movements of a dry run
     speed       of a dry run, as a share of the full one
-    checks      what a dry run found out about the devices
+    checks      of the devices, by a dry run or the clocks
     outcome     how the cycle ends if nothing fails from here on
     reason      why it does not end well, in words
     pictures    for the record: name → (H, W, 3), blue first
@@ -186,7 +186,7 @@ class Findings:
 
     @property
     def decided(self) -> bool:
-        """Whether it is settled what will be done with the cable."""
+        """Whether the cable is rejected or an offset is chosen."""
         return self.rejected or self.offset_m is not None
 
     def reject(self, reason: str) -> Findings:
@@ -194,7 +194,7 @@ class Findings:
         return replace(self, outcome=Outcome.REJECTED, reason=reason)
 
     def for_retry(self) -> Findings:
-        """For another try with the same cable: what was measured, seen and checked stays."""
+        """Findings for a further try with the same cable: trials, pictures and checks stay."""
         name = f"try_{len(self.stops) + 1}"
         trials = (replace(t, name=f"{t.name}_{name}", role="validate") for t in self.trials)
         return Findings(
@@ -216,7 +216,7 @@ class Findings:
 def required(value: Value | None) -> Value:
     """The finding of an earlier step, checked to exist.
 
-    raises  LookupError: no step before this one has found it; the plan's order is wrong
+    raises  LookupError: no earlier step adds it; the plan's order is wrong
     """
     if value is None:
         raise LookupError("a step needs what no step before it in the plan has found")

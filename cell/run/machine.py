@@ -94,7 +94,7 @@ class Machine:
     """State of one cell, safe to be sent events from any thread; it begins in Stopped.
 
     now_s      clock in which the time spent in each state is counted, s
-    on_change  told of every new state, in the thread that caused it; may be set later
+    on_change  called with every new state, in the thread that caused it; may be set later
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What each step does: measuring a cable in a motion, and looking at a film of one's own."""
+"""The steps that measure a cable in a motion, or in a film made without this cell."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cell.run.trials import held_trial
 from cell.run.waiting import wait_until
 from cell.vision.sighting import why_unseen
 
-#: Share of a measuring motion's frames in which the cable must be seen.
+#: Share of a measuring motion's frames in which the cable must be detected.
 MIN_DETECTED = 0.8
 
 
@@ -33,12 +33,12 @@ def measure(motion: Measuring, station: Station, findings: Findings) -> Findings
     held = capture(station, filming, KEEP_EVERY_HELD)
     trial = replace(held_trial(held), name=motion.name)
     findings = replace(findings, held=held, trials=(trial,), outcome=Outcome.MEASURED)
-    seen = sum(s.seen for s in held.sightings)
-    if seen >= MIN_DETECTED * len(held.sightings):
+    detected = sum(s.seen for s in held.sightings)
+    if detected >= MIN_DETECTED * len(held.sightings):
         return findings
     why = why_unseen(held.sightings, station.task.vision.free_length_m)
     return findings.reject(
-        f"the cable is seen in {seen} of {len(held.sightings)} frames, needs "
+        f"the cable is seen in {detected} of {len(held.sightings)} frames, needs "
         f"{MIN_DETECTED:.0%}; keep the motion inside the picture; {why}"
     )
 

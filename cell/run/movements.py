@@ -1,4 +1,4 @@
-"""The gripper's movements in a plan, at any share of their speed: what a dry run makes and
+"""The gripper's movements in a plan, at any share of their speed, for dry runs and path
 checks."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from cell.plan.paths import MotionLimits, identification_path, insertion_path, p
 from cell.run.station import Task
 from drivers.interfaces import Pose, Trajectory
 
-#: So many times slower than an insertion a cable is brought to where it is measured, at rest.
+#: Factor by which a cable's way to a measuring motion is slower than an insertion.
 APPROACH_SLOWER = 4.0
 
 #: Names of the movements, which are steps of a dry run.
@@ -29,7 +29,7 @@ class Movement:
     path: Trajectory | None = None
 
     def path_from(self, start: Pose, rate_hz: float) -> Trajectory | None:
-        """From where the gripper is; None = it is at the goal already."""
+        """Path from where the gripper is; None = it is at the goal already."""
         if self.path is not None:
             return self.path
         assert self.limits is not None
@@ -64,7 +64,7 @@ def slowed_motion(motion: Measuring, speed: float) -> Measuring:
 def inserting_movements(task: Task, rate_hz: float, speed: float = 1.0) -> tuple[Movement, ...]:
     """All movements of an insertion with the least and with the greatest offset, home at both ends.
 
-    Both end as a cable that is put aside does: that way is the longer one.
+    Both end with the cable put aside, which is the longer way.
     raises  ValueError as `slowed`
     """
     task = slowed(task, speed)
@@ -74,12 +74,12 @@ def inserting_movements(task: Task, rate_hz: float, speed: float = 1.0) -> tuple
     home = Movement(HOME, task.home, task.lowering)
     movements = [home]
     for offset_m in sorted({task.offsets_m[0], task.offsets_m[-1]}):
-        left = insertion_path(
+        insertion = insertion_path(
             task.lowered, offset_m, task.longest_advance_m, task.insertion, rate_hz
         )
         movements += [
             Movement(DOWN, _end(down), path=down),
-            Movement(IN, _end(left), path=left),
+            Movement(IN, _end(insertion), path=insertion),
             Movement(ASIDE, task.aside, task.lowering),
             home,
         ]
@@ -113,10 +113,10 @@ def paths_from(
         start = movement.goal
     if any(movement.name == IN for movement in movements):
         for offset_m in task.offsets_m[1:-1]:
-            left = insertion_path(
+            insertion = insertion_path(
                 task.lowered, offset_m, task.longest_advance_m, task.insertion, rate_hz
             )
-            paths.append((f"{IN} with offset {offset_m:g} m", left))
+            paths.append((f"{IN} with offset {offset_m:g} m", insertion))
     return tuple(paths)
 
 

@@ -38,8 +38,8 @@ from cell.vision.marks import pixels_per_metre
 def after_insertion(station: Station, findings: Findings) -> Findings:
     """Draw pictures of hold and execution, and identify the cable again by a complete fit.
 
-    No step of that fit is left linear from early frames.  The choice was made with the cable as it
-    was, which stays if the fit finds nothing better.
+    That fit reuses no linearisation from early frames.  The choice was made with the former
+    estimate, which stays if the fit is rejected.
     """
     task, trial = station.task, findings.trials[0]
     identified = required(findings.identified)
@@ -61,7 +61,7 @@ def after_insertion(station: Station, findings: Findings) -> Findings:
 
 
 def after_release(station: Station, findings: Findings) -> Findings:
-    """Pictures of the hold of a cable that was identified, but that no offset can insert."""
+    """Pictures of the hold of a cable that was identified, but is inserted by no offset."""
     if findings.rejected and findings.identified is not None:
         return _with_held_pictures(station, findings)
     return findings
@@ -79,7 +79,7 @@ def _with_held_pictures(station: Station, findings: Findings) -> Findings:
     return findings.with_pictures(pictures)
 
 
-#: What the lines of a picture are.
+#: Legend: text and colour of the lines.
 _NODES_SEEN = ("nodes seen by the camera", SEEN)
 _NODES_OF_MODEL = ("nodes of the identified model", PREDICTED)
 _JAW_AXIS = ("axis of the jaw", JAW)
@@ -105,7 +105,7 @@ def held_pictures(
 
 
 def measured_pictures(filmed: FilmedMotion, task: Task) -> dict[str, Image]:
-    """A measuring motion: at rest before, with the tip lowest, and at its end; what was seen."""
+    """A measuring motion: at rest before, with the tip lowest, and at its end; with detections."""
     return {
         f"measure_{name}": _finished(
             overlay(
@@ -124,8 +124,8 @@ def passage_pictures(
 ) -> dict[str, Image]:
     """The execution near the passage: destination, predicted and measured path of the tip.
 
-    The outcome and the forecast's error are written on it; the inset shows, magnified, where the
-    tip was seen beside where it was predicted, in every frame in which it was in the destination.
+    The outcome and the forecast's error are written on it; the inset compares, magnified,
+    the detected tip with the predicted one, in every frame with the tip inside the destination.
     """
     destination = task.destination
     passes_s = (
@@ -133,20 +133,20 @@ def passage_pictures(
     )
     frame = min(filmed.pictures, key=lambda p: abs(p.t_s - passes_s))
     image = overlay(frame.image, filmed.sightings[frame.index], task.view)
-    seen = [s for s in filmed.sightings if s.seen]
-    seen_m = np.array([s.nodes_m[0] for s in seen]).reshape(-1, 2)
+    sightings = [s for s in filmed.sightings if s.seen]
+    measured_m = np.array([s.nodes_m[0] for s in sightings]).reshape(-1, 2)
     t_s = candidates.start_s + choice.t_s
-    predicted_m = path_at(np.array([s.t_s for s in seen]), t_s, choice.tip_m)
+    predicted_m = path_at(np.array([s.t_s for s in sightings]), t_s, choice.tip_m)
     _draw(image, task, destination.corners_m, DESTINATION, closed=True)
-    _draw(image, task, seen_m, SEEN)
+    _draw(image, task, measured_m, SEEN)
     _draw(image, task, choice.tip_m, PREDICTED, dashed=True)
-    inside = (seen_m[:, 0] <= destination.x_max_m) & (seen_m[:, 0] >= destination.x_min_m)
-    difference_inset(image, seen_m[inside], predicted_m[inside], metres_per_pixel(task))
-    said = "inserted" if passage.passed else f"missed: {passage.reason}"
+    inside = (measured_m[:, 0] <= destination.x_max_m) & (measured_m[:, 0] >= destination.x_min_m)
+    difference_inset(image, measured_m[inside], predicted_m[inside], metres_per_pixel(task))
+    outcome = "inserted" if passage.passed else f"missed: {passage.reason}"
     error = (
         f"forecast error {passage.error_m * 1e3:.2f} mm, margin {passage.margin_m * 1e3:+z.2f} mm"
     )
-    title(image, [("", SEEN), (said, SEEN if passage.passed else DESTINATION), (error, WHITE)])
+    title(image, [("", SEEN), (outcome, SEEN if passage.passed else DESTINATION), (error, WHITE)])
     lines = (
         ("destination", DESTINATION),
         ("cable and path of its tip, measured", SEEN),
@@ -169,23 +169,26 @@ def dry_run_pictures(followed: Sequence[RehearsedMotion], task: Task) -> dict[st
     jaw's marks.  Red: the destination.
     """
     images = {}
-    for i, one in enumerate((f for f in followed if f.film is not None), start=1):
-        assert one.film is not None
-        for name, frame, at in zip(("begin", "end"), one.film.pictures, (0, -1), strict=True):
+    for i, move in enumerate((f for f in followed if f.film is not None), start=1):
+        assert move.film is not None
+        for name, frame, at in zip(("begin", "end"), move.film.pictures, (0, -1), strict=True):
             image = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
             _draw(image, task, task.destination.corners_m, DESTINATION, closed=True)
             _draw(
-                image, task, np.column_stack([one.gripper_log.x_m, one.gripper_log.y_m]), PREDICTED
+                image,
+                task,
+                np.column_stack([move.gripper_log.x_m, move.gripper_log.y_m]),
+                PREDICTED,
             )
-            by_arm = one.gripper_log.at(frame.t_s)
+            by_arm = move.gripper_log.at(frame.t_s)
             _cross(image, task, np.array([by_arm.x_m, by_arm.y_m]), PREDICTED, upright=True)
-            _cross(image, task, one.film.jaw_m[at], SEEN)
+            _cross(image, task, move.film.jaw_m[at], SEEN)
             lines = (
                 ("destination", DESTINATION),
                 ("gripping point and its way, by the arm", PREDICTED),
                 ("gripping point, by the camera", SEEN),
             )
-            images[f"{i}_{one.name}_{name}"] = _finished(image, task, *lines)
+            images[f"{i}_{move.name}_{name}"] = _finished(image, task, *lines)
     return images
 
 
@@ -218,7 +221,7 @@ def _cross(
     *,
     upright: bool = False,
 ) -> None:
-    """Draw a cross at a place of the plane, if it is known."""
+    """Draw a cross at a point of the plane, if it is finite."""
     if np.all(np.isfinite(at_m)):
         arms_m = [[0.007, 0.0], [0.0, 0.007]] if upright else [[0.005, 0.005], [0.005, -0.005]]
         for arm_m in np.array(arms_m):
@@ -226,7 +229,7 @@ def _cross(
 
 
 def _chosen(filmed: FilmedMotion) -> dict[str, int]:
-    """Which of the pictures kept show the cable at rest, with its tip lowest, and at the end."""
+    """Indices of the stored pictures at rest, with the tip lowest, and at the end."""
     tip_y_m = np.array([filmed.sightings[p.index].nodes_m[0, 1] for p in filmed.pictures])
     lowest = int(np.nanargmin(tip_y_m)) if np.isfinite(tip_y_m).any() else 0
     return {"still": 0, "swing": lowest, "held": len(filmed.pictures) - 1}

@@ -1,4 +1,4 @@
-"""The table of steps, and the plans that are made of them: inserting, measuring, rehearsing."""
+"""The table of steps, and the plans made of them: inserting, measuring, rehearsing."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Step:
     """One step of a cycle.
 
     name           in the record, in faults and in tables
-    act            what it does: returns what is known after it
-    reads          findings that it is given, by name
-    adds           findings that it changes, by name: they are given too, and no other change counts
+    act            the function: returns the findings after it
+    reads          names of the findings that are passed to it
+    adds           names of those that it changes: they are passed too, and no other change counts
     after          further work on its findings, outside the step's time
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
@@ -43,7 +43,7 @@ class Step:
     with_rejected  it is done with a rejected cable too
     once           it is done in the first cycle only; those of `REPEATED_AFTER_LOSS` also after
                    devices were lost
-    completed      whether it has found what it is done once for; else the next cycle does it, too
+    completed      for `once`: whether it has its result; else the next cycle repeats it
     every          it is done in cycles whose number is a multiple of this
     """
 
@@ -62,10 +62,10 @@ class Step:
     every: int = 1
 
     def apply(self, station: Station, findings: Findings) -> Findings:
-        """Findings after it: `act` sees what it reads and adds, and only what it adds is taken."""
+        """Findings after it: `act` gets what it reads and adds; only what it adds is updated."""
         added = self.adds.split()
-        seen = {name: getattr(findings, name) for name in (*self.reads.split(), *added)}
-        after = self.act(station, Findings(**seen))
+        inputs = {name: getattr(findings, name) for name in (*self.reads.split(), *added)}
+        after = self.act(station, Findings(**inputs))
         return replace(findings, **{name: getattr(after, name) for name in added})
 
 
@@ -127,7 +127,7 @@ class Plan:
         return tuple(dict.fromkeys(step.name for step in self.steps))
 
 
-#: Of a step after which a cable is tried anew.
+#: `adds` of a step after which a cable is tried again.
 EVERYTHING = " ".join(field.name for field in fields(Findings))
 
 # --- the table ----------------------------------------------------------------------------------
@@ -216,9 +216,9 @@ RELEASE = Step(
 #: Steps of a film that was made without this cell.
 FILM, LOOK = "film", "look_at_film"
 
-#: What is done once is done again when devices were connected anew: their clocks may have been set.
+#: Steps with `once` that are repeated after a reconnection: the devices' clocks may have changed.
 REPEATED_AFTER_LOSS = frozenset({CONNECT.name, CHECK_CLOCKS.name})
-#: And these once for every product.
+#: Steps with `once` that are repeated for every product.
 REPEATED_PER_PRODUCT = frozenset({CHECK_PATHS.name})
 
 CHOOSING = Repeat((SIMULATE, CHOOSE), steps.review_choice, until=lambda f: f.decided)
@@ -247,7 +247,7 @@ INSERTING = Plan(
 def changing_over(plan: Plan, former: Task, *, at_start: bool) -> Plan:
     """Plan of the first cycle after a change of product: it begins by emptying the jaws.
 
-    former    task of the product before it, which says where its cables are let go
+    former    task of the product before it, which defines where its cables are let go
     at_start  the cell was reset for the former product already, and waits in Idle
     """
     empty = Step("empty_jaws", partial(steps.empty_jaws, former))

@@ -26,9 +26,9 @@ class CycleProgress:
 
     step     the step that is done, or was done last
     seconds  time of each step so far, s
-    written  what of the findings is on record
+    written  findings that are recorded already
     fault    that has ended the cycle
-    product  that it makes; None = its settings have no products
+    product  name of its product; None = its settings have no products
     """
 
     number: int
@@ -46,9 +46,9 @@ class CycleProgress:
         self.watch = SafetyWatch(self.station)
 
     def write(self) -> None:
-        """Record what was found and is not on record yet."""
+        """Record the findings that are not recorded yet."""
         now, before = self.findings, self.written
-        self.written = now  # what cannot be written is not tried again
+        self.written = now  # a failed write is not repeated
         if now.trials and now.trials is not before.trials:
             name = self.record.folder.name
             study = study_of(name, self.station.task, (*now.trials, *now.earlier))
@@ -62,7 +62,7 @@ class CycleProgress:
 
     @contextmanager
     def written_after(self) -> Iterator[None]:
-        """What was found is recorded in the end; what a step failed of is told before a full disk.
+        """Record the findings at the end; an error of a step takes precedence over a full disk.
 
         raises  RecordError
         """
@@ -133,7 +133,7 @@ def _finite(value: float | None) -> float | None:
 class OneCycle:
     """A cycle from its preparation to its end: plan, product and progress.
 
-    made     what it makes
+    made     task of its product
     before   time spent in each state before it, s
     part     id of its cable
     listing  None = the ledger does not know of it yet
@@ -147,7 +147,7 @@ class OneCycle:
     listing: CycleListing | None = None
 
     def spent_s(self, after: Mapping[CellState, float]) -> dict[str, float]:
-        """Time in each state, s, in which it was; `after` as `before`, now."""
+        """Time in each visited state, s; `after` is `before` at the end."""
         return {
             state.value: after[state] - self.before[state]
             for state in CellState

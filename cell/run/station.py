@@ -1,4 +1,4 @@
-"""What the steps of a cycle use: devices, task, commands, and the second process."""
+"""Context of the steps of a cycle: devices, task, commands, and the second process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.interfaces import Devices, Pose
 
 @dataclass(frozen=True)
 class Task:
-    """The task for every cable; `model` is the hash of what is assumed of all cables."""
+    """The task for every cable; `model` is the hash of the assumptions for all cables."""
 
     cable: Cable
     destination: Destination
@@ -46,15 +46,15 @@ class Task:
     choice: ChoiceOptions
     model: str
     map_std_m: float = 0.0
-    """Of a point's place by the view, over both axes together."""
+    """Standard deviation of a point's position by the view, both axes combined."""
     least_hold_s: float | None = None
     """A hold may end after this if more frames would not matter; None = always after `hold_s`."""
     feedback: bool = False
     """Whether an insertion is corrected while it is made."""
     retries: int = 0
-    """So often a cable that was stopped in front of the opening is measured and inserted again."""
+    """Number of further tries for a cable that was stopped in front of the opening."""
     delays: CalibratedDelays | None = None
-    """None = latency and lag are typed: nothing says how well they are known."""
+    """None = latency and lag are typed, without uncertainty."""
 
     @property
     def lowered(self) -> Pose:
@@ -63,12 +63,12 @@ class Task:
 
     @property
     def longest_advance_m(self) -> float:
-        """So far left the gripper goes at most."""
+        """Longest way of the gripper to the left."""
         return self.advance_m + self.choice.freely.further_m
 
     @property
     def arc_length_m(self) -> FloatArray:
-        """(nodes,) where on the cable the camera measures, tip first."""
+        """(nodes,) arc lengths of the nodes that the camera measures, tip first."""
         return node_arc_lengths(self.cable.length_m, self.vision.nodes)
 
 
@@ -85,7 +85,7 @@ class Timing:
 class Station:
     """Devices, task, commands that may interrupt it, and the executor of computations.
 
-    others  tasks that may come in place of this one
+    others  tasks that may replace this one
     """
 
     devices: Devices
@@ -96,7 +96,7 @@ class Station:
 
     @property
     def timing(self) -> Timing:
-        """That of the devices."""
+        """Timing of the devices."""
         arm, camera = self.devices.arm, self.devices.camera
         return Timing(arm.rate_hz, arm.lag_s, camera.frame_rate_hz)
 

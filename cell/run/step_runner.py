@@ -18,7 +18,7 @@ _LOG = logging.getLogger(__name__)
 class StepRunner:
     """Runs the steps of each state, and obeys commands before, within and after each step.
 
-    on_step  told of every step as it begins: number of the cycle, name of the step
+    on_step  called with cycle number and step name as each step begins
     """
 
     def __init__(
@@ -30,16 +30,16 @@ class StepRunner:
         self._done_once: set[tuple[str, str | None]] = set()
 
     def repeat(self, names: Iterable[str]) -> None:
-        """What is done once is done once more, of these names."""
+        """Let steps of these names with `once` be done once more."""
         again = set(names)
         self._done_once = {done for done in self._done_once if done[0] not in again}
 
     def forget(self) -> None:
-        """All that is done once is done once more."""
+        """Let every step with `once` be done once more."""
         self._done_once.clear()
 
     def carry_out(self, progress: CycleProgress, sequence: Iterable[Step | Repeat]) -> None:
-        """Do steps one after another; those that are due."""
+        """Do the steps that are due, in order."""
         for element in sequence:
             match element:
                 case Step():
@@ -73,7 +73,7 @@ class StepRunner:
         )
 
     def _do(self, progress: CycleProgress, step: Step) -> None:
-        """One step, what is made of it, and the record of it."""
+        """Do a step, its further work, and its record."""
         progress.step = step.name
         progress.record.state(step=step.name, state=self._machine.state.value)
         progress.recording.state(self._machine.state.value, step.name)
@@ -106,9 +106,9 @@ class StepRunner:
             progress.write()
 
     def _pause(self, progress: CycleProgress) -> bool:
-        """Hold or suspend if that was asked for, until it is taken back; whether it was."""
+        """Hold or suspend if requested, until resumed; whether there was a pause."""
         paused = False
-        while (pause := self._commands.pause) is not None:  # one may be asked for in another
+        while (pause := self._commands.pause) is not None:  # a second one may follow
             self.send(progress, pause)
             self.send(progress, MachineEvent.DONE)
             self._on_step(progress.number, self._machine.state.value)
@@ -120,5 +120,5 @@ class StepRunner:
 
 
 def _once(progress: CycleProgress, step: Step) -> tuple[str, str | None]:
-    """As what a step counts that is done once."""
+    """Key of a step that is done once."""
     return step.name, progress.product if step.name in REPEATED_PER_PRODUCT else None

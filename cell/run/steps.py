@@ -1,8 +1,8 @@
-"""What each step does while a cable is inserted; `measuring_steps` has the others.
+"""The steps of an insertion; `measuring_steps` has the others.
 
-With `waiting`, `filming`, `endings`, the `dry_run` and the `watch`, all that calls devices.
-Every step takes the station and the findings that it reads, and returns those that it adds;
-nothing is kept here.  `plans` says which steps there are, what each reads and adds, and the order.
+Only these, `waiting`, `filming`, `endings`, the `dry_run` and the `watch` call devices.
+A step takes the station and the findings that it reads, and returns those that it adds; it has no
+other state.  `plans` lists the steps, what each reads and adds, and their order.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from drivers.interfaces import (
 
 _LOG = logging.getLogger(__name__)
 
-#: One frame in so many is kept as a picture, during the hold and during the execution.
+#: One frame in so many is stored as a picture, during the hold and during the execution.
 KEEP_EVERY_HELD, KEEP_EVERY_MOVING = 20, 4
-#: A forecast is corrected to first order, without simulating again, if its tips move less, m.
+#: Below this shift of its tips a forecast is corrected to first order, not simulated again, m.
 SMALL_SHIFT_M = 5e-4
 #: A computer that needs longer for a choice is not going to manage, s: the longer the gripper
 #: waits, the more there is to simulate.
@@ -115,7 +115,7 @@ def warm_up(station: Station, findings: Findings) -> Findings:
 def reset(station: Station, findings: Findings) -> Findings:
     """Clear our own stop, empty the jaws and bring the gripper home, level strokes first."""
     station.devices.arm.reset()
-    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    station.commands.check()  # after the reset, so that a stop meanwhile is not lost
     station.devices.gripper.release()
     return go_home(station, findings)
 
@@ -123,7 +123,7 @@ def reset(station: Station, findings: Findings) -> Findings:
 def empty_jaws(former: Task, station: Station, findings: Findings) -> Findings:
     """Open the jaws; if they hold something, at the place where `former` puts cables aside."""
     station.devices.arm.reset()
-    station.commands.check()  # after the reset, so that a stop given meanwhile is not lost
+    station.commands.check()  # after the reset, so that a stop meanwhile is not lost
     if station.devices.gripper.state().holding:
         move_to(station, former.aside, former.lowering)
     return let_go(station, findings)
@@ -206,8 +206,8 @@ def lowering_path(station: Station) -> Trajectory:
 def hold_and_capture(station: Station, findings: Findings) -> Findings:
     """Hold still while the cable swings, and find it in every frame as it comes.
 
-    The second process computes from the first frames, so that little is left after the last one,
-    which comes early if more of them would not matter and the task leaves that open.
+    The second process computes from the first frames, so that little work remains after the last
+    one, which comes early if more frames would not matter and the task allows that.
     """
     filming = required(findings.filming)
     estimator = EarlyEstimator(station, filming)
@@ -229,27 +229,27 @@ def hold_and_capture(station: Station, findings: Findings) -> Findings:
 def check_clocks(station: Station, findings: Findings) -> Findings:
     """Whether latency and lag are still as calibrated, from the motion that was filmed anyway.
 
-    raises  DeviceError: they are not, with the command that mends it
+    raises  DeviceError: they are not; with the command that corrects it
     """
     task, held = station.task, required(findings.held)
     if task.delays is None:
         return findings
     path = lowering_path(station)
-    told = replace(path, t_s=path.t_s + held.begin_s + task.still_s)
+    commanded = replace(path, t_s=path.t_s + held.begin_s + task.still_s)
     checks = delay_checks(
         np.array([s.t_s for s in held.sightings]),
         np.array([s.grip_m for s in held.sightings]),
         held.gripper_log,
-        told,
+        commanded,
         station.devices.arm.lag_s,
         task.delays,
     )
     for check in checks:
         if not check.right:
-            device, _, what = check.what.partition(": ")
+            device, _, text = check.what.partition(": ")
             raise DeviceError(
                 device,
-                f"{what} {check.found * 1e3:+z.2f} ms since it was calibrated, at most "
+                f"{text} {check.found * 1e3:+z.2f} ms since it was calibrated, at most "
                 f"{1e3 * (check.high or 0.0):.2f} ms are allowed",
                 check.remedy,
             )
@@ -258,8 +258,8 @@ def check_clocks(station: Station, findings: Findings) -> Findings:
 
 def delays_were_determined(station: Station, findings: Findings) -> bool:
     """Whether the motion determined both delays, if they are checked at all."""
-    told = [check.high is not None for check in findings.checks]
-    return station.task.delays is None or (bool(told) and all(told))
+    determined = [check.high is not None for check in findings.checks]
+    return station.task.delays is None or (bool(determined) and all(determined))
 
 
 def identify(station: Station, findings: Findings) -> Findings:

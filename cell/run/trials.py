@@ -17,14 +17,14 @@ from cell.vision.marks import pixels_per_metre
 from cell.vision.sighting import steady_nodes
 from drivers.interfaces import Trajectory
 
-#: Error of one coordinate of a node in motion.  At rest less is seen of it, because how the tip
-#: falls between the pixels is then the same in every frame.
+#: Error of one coordinate of a node in motion.  At rest it shows less, because the position of
+#: the tip between the pixels is then the same in every frame.
 NODE_ERROR_PX = 0.1
 
 
 def held_trial(filmed: FilmedMotion) -> Trial:
-    """The hold as a trial, time counted from the first frame; the gripper where the camera saw
-    it."""
+    """The hold as a trial, time counted from the first frame; the gripper as the
+    camera detected it."""
     sightings, hand, zero_s = filmed.sightings, filmed.gripper_log, filmed.begin_s
     return hold_trial(
         Motion(hand.t_s - zero_s, hand.x_m, hand.y_m, hand.angle_rad),
@@ -72,13 +72,13 @@ def study_of(name: str, task: Task, trials: Sequence[Trial]) -> Study:
     return Study(name, task.cable, task.arc_length_m, tuple(trials), noise_std_m=noise_m)
 
 
-def camera_offset_m_rad(logged: Trajectory, seen: Motion) -> FloatArray:
-    """(3,) x, y, angle offset of the gripper as seen by the camera from its log."""
+def camera_offset_m_rad(logged: Trajectory, detected: Motion) -> FloatArray:
+    """(3,) x, y, angle offset of the gripper as detected by the camera from its log."""
     return np.array(
         [
-            seen.x_m[0] - logged.x_m[0],
-            seen.y_m[0] - logged.y_m[0],
-            seen.angle_rad[0] - logged.angle_rad[0],
+            detected.x_m[0] - logged.x_m[0],
+            detected.y_m[0] - logged.y_m[0],
+            detected.angle_rad[0] - logged.angle_rad[0],
         ]
     )
 

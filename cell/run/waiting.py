@@ -12,30 +12,30 @@ from cell.run.station import Station
 from drivers.interfaces import Arm, ArmMode, DeviceTimeoutError, GripError, StoppedError
 from drivers.servo import SETTLING_LAGS
 
-#: How long a wait is between two looks at the commands, s.
+#: Interval between two checks of the commands during a wait, s.
 POLL_S = 0.01
 #: Longest time that an arm needs to rest after the end of its path, beyond that of its servo, s.
 REST_TIMEOUT_S = 1.0
-#: The arm is told so long before it is to start, because it first checks where a path leads, s.
+#: Time from a command to the start of its path, s: the arm first checks the path.
 AHEAD_S = 0.1
 
 
 def wait_until(station: Station, t_s: float) -> None:
-    """Let time pass.  Raises InterruptedByCommandError."""
+    """Wait until a time on the cell's clock.  Raises InterruptedByCommandError."""
     station.commands.check()
     clock = station.devices.clock
-    while (left_s := t_s - clock.now_s()) > 0.0:
-        clock.sleep_s(min(left_s, POLL_S))
+    while (remaining_s := t_s - clock.now_s()) > 0.0:
+        clock.sleep_s(min(remaining_s, POLL_S))
         station.commands.check()
 
 
 def rest_timeout_s(arm: Arm) -> float:
-    """How long an arm may take to rest after the end of its path."""
+    """Longest time until an arm rests after the end of its path, s."""
     return REST_TIMEOUT_S + SETTLING_LAGS * arm.lag_s
 
 
 def await_rest(station: Station) -> None:
-    """Wait until the arm rests and accepts another path.
+    """Wait until the arm rests and accepts a new path.
 
     raises  DeviceTimeoutError; StoppedError
     """
@@ -54,7 +54,7 @@ def await_rest(station: Station) -> None:
 
 
 def check_arm(station: Station) -> None:
-    """Whether the arm is ready.  Raises StoppedError."""
+    """Check that the arm is ready.  Raises StoppedError."""
     arm = station.devices.arm
     mode = arm.state().mode
     if mode is not ArmMode.READY:
@@ -62,7 +62,7 @@ def check_arm(station: Station) -> None:
 
 
 def check_grip(station: Station) -> None:
-    """Whether the cable is held.  Raises GripError."""
+    """Check that the cable is held.  Raises GripError."""
     gripper = station.devices.gripper
     if not gripper.state().holding:
         raise GripError(gripper.name, "lost the cable", "check force and jaws")

@@ -30,7 +30,7 @@ from drivers.interfaces import Pose
 _LOG = logging.getLogger(__name__)
 
 _NOISE_M = 2e-5
-#: Of a made-up picture: its mark's size, and grey levels.
+#: Of a synthetic picture: size of a mark, and grey levels.
 _MARK_PX, _DARK, _BEHIND, _LIGHT = 6.0, 30, 120, 210
 
 
@@ -68,8 +68,8 @@ def warm_up(cable: Cable, kind: ModelClass = ModelClass()) -> None:  # noqa: B00
     arc_length_m = node_arc_lengths(length_m)
     nodes_m = simulate(model, hand, t_s, arc_length_m)[0]
     nodes_m += rng.normal(scale=_NOISE_M, size=nodes_m.shape)
-    seen_m = np.column_stack([np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m)])
-    trial = hold_trial(hand, t_s, nodes_m, seen_m, np.zeros(len(t_s)))
+    grip_m = np.column_stack([np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m)])
+    trial = hold_trial(hand, t_s, nodes_m, grip_m, np.zeros(len(t_s)))
     options = IdentifyOptions(kind=kind)
     identified = identify(trial, arc_length_m, cable, options=options)
     predicted = predict_frames(trial, t_s, arc_length_m, identified, options)
@@ -98,10 +98,10 @@ def made_up_picture(options: VisionOptions) -> tuple[NDArray[np.uint8], PlaneVie
     marks = options.marks
     scale_m = marks.radius_m / _MARK_PX
     around = np.abs(marks.centres_m).max() + 5.0 * marks.radius_m
-    left, beside = (int(np.ceil(m / scale_m)) for m in (options.free_length_m + around, around))
-    view = PlaneView.from_scale(scale_m, left, beside)
-    image = np.full((2 * beside, left + beside), _BEHIND, dtype=np.uint8)
-    image[:, left:] = _DARK
+    left_px, side_px = (int(np.ceil(m / scale_m)) for m in (options.free_length_m + around, around))
+    view = PlaneView.from_scale(scale_m, left_px, side_px)
+    image = np.full((2 * side_px, left_px + side_px), _BEHIND, dtype=np.uint8)
+    image[:, left_px:] = _DARK
     for centre in np.rint(view.to_pixels(np.array(marks.centres_m))).astype(int).tolist():
         cv2.circle(image, centre, round(_MARK_PX), _LIGHT, cv2.FILLED, cv2.LINE_AA)
     grey = _DARK if options.cable_is == "dark" else _LIGHT

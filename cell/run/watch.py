@@ -1,6 +1,6 @@
 """Watches all devices while the steps of a cycle run, and stops the arm at a fault.
 
-A step looks at a device when it needs it; what happens in between would be noticed too late.
+A step checks a device when it needs it; a fault in between would be noticed too late.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from cell.run.waiting import check_arm, check_grip
 from drivers.interfaces import DeviceError, DeviceLostError, GripError
 from drivers.threads import GuardedThread, error_text
 
-#: Time between two looks, s.  With the two answers that a gripper's driver waits for, 35 ms each,
-#: a fault must be noticed within 100 ms.
+#: Time between two checks, s.  A fault must be noticed within 100 ms, including two answers of the
+#: gripper's driver, 35 ms each.
 ARM_EVERY_S, CAMERA_EVERY_S, GRIPPER_EVERY_S = 0.01, 0.015, 0.015
-#: Later than that is a computer that was busy with something else.
+#: A check later than this means that the computer was busy, s.
 OVERSLEPT_S = 0.02
 _REMEDY = "look at the device, then acknowledge; if it comes again, report it with `cell bundle`"
 
@@ -35,16 +35,16 @@ class SafetyWatch:
         self._over = threading.Event()
         devices = station.devices
         arm, camera, gripper = devices.arm, devices.camera, devices.gripper
-        looks = (
+        checks = (
             (arm.name, self._check_arm, ARM_EVERY_S),
             (camera.name, camera.check, CAMERA_EVERY_S),
             (gripper.name, self._check_gripper, GRIPPER_EVERY_S),
         )
         self._threads = [
             GuardedThread(
-                f"watch {name}", partial(self._run, look, every_s), partial(self._unwatched, name)
+                f"watch {name}", partial(self._run, check, every_s), partial(self._unwatched, name)
             )
-            for name, look, every_s in looks
+            for name, check, every_s in checks
         ]
 
     def begin(self) -> None:
@@ -53,33 +53,33 @@ class SafetyWatch:
             thread.start()
 
     def cease(self) -> None:
-        """Look no more: what follows is known, or meant."""
+        """Stop watching: what follows is known, or intended."""
         self._over.set()
 
     def end(self) -> None:
-        """Look no more, and wait until all threads have ended."""
+        """Stop watching, and wait until all threads have ended."""
         self.cease()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
 
-    def _run(self, look: Callable[[], None], every_s: float) -> None:
+    def _run(self, check: Callable[[], None], every_s: float) -> None:
         overslept = False
         due_s = time.monotonic() + every_s
         while not self._over.wait(every_s):
             late_s = time.monotonic() - due_s
-            # to a process that was not run the others seem silent: they get the time of one look
+            # after a stall of this process devices seem silent: they get the time of one more check
             overslept = not overslept and late_s > OVERSLEPT_S
             try:
                 if not overslept:
-                    look()
+                    check()
             except DeviceError as error:
                 self._fail(error)
                 return
             due_s = time.monotonic() + every_s
 
     def _unwatched(self, device: str, error: BaseException) -> None:
-        """A device is watched no more: what it does from now on nobody would notice."""
+        """Fail: the device is watched no more, and its faults would not be noticed."""
         self._fail(
             DeviceLostError(device, f"the watch over it has ended: {error_text(error)}", _REMEDY)
         )

@@ -1,7 +1,7 @@
 """Permits a controller with an unproved version: by an entry in the settings and a slow dry run.
 
 `arm.allow_version` names the version.  The first dry run at low speed with that controller is
-remembered in the folder of the records; without one, no cable is moved.
+stored in the folder of the records; without one, no cable is moved.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.records.result import Outcome, Result
 from cell.settings import Settings
-from cell.settings import devices as given
+from cell.settings import devices as device_settings
 from drivers.ur_versions import ControllerIdentity, identify, is_proved, refusal, version_text
 
 #: In the folder of the records.
 FILE = "allowed_versions.json"
-#: Share of the full speed that such a dry run may have at most.
+#: Largest speed of such a dry run, as a share of the full speed.
 MOST_SPEED = 0.25
 
 
@@ -31,7 +31,7 @@ class PassedDryRun:
     """A dry run without errors, with a controller whose version is not proved.
 
     host           address of the controller
-    serial_number  None = it tells none, as PolyScope X: then its address has to do
+    serial_number  None = not reported, as by PolyScope X: the address identifies it then
     speed          share of the full speed
     time           UTC, ISO 8601
     folder         of the record of the dry run
@@ -45,7 +45,7 @@ class PassedDryRun:
     folder: str
 
     def is_of(self, controller: ControllerIdentity, host: str) -> bool:
-        """Whether it was made with this controller and this very version."""
+        """Whether it was made with this controller and the same version."""
         same = self.version == controller.version_text
         if controller.serial_number is not None:
             return same and self.serial_number == controller.serial_number
@@ -53,37 +53,37 @@ class PassedDryRun:
 
 
 def check_arm_version(settings: Settings, config: Path, runs: Path, speed: float | None) -> None:
-    """Whether the controller's version is proved, or was tried in a dry run at low speed.
+    """Check that the controller's version is proved, or has passed a dry run at low speed.
 
-    A controller that is refused is left to the driver, which says so.  One that does not answer
-    yet may do so when a service connects to it: the version must have been tried at its address.
+    The driver refuses a refused controller itself.  One that does not answer yet may do so when a
+    service connects to it: a dry run at its address must have passed with the version.
 
     speed   of the dry run that is to be made; None = a cable is to be moved
-    raises  InputError: neither, with the command to type
+    raises  InputError: neither; with the command of the dry run
     """
     arm = settings.arm
     if speed is not None and speed <= MOST_SPEED:
         return
-    if not isinstance(arm, given.UrArmSettings) or arm.allowed_version is None:
+    if not isinstance(arm, device_settings.UrArmSettings) or arm.allowed_version is None:
         return
     if is_proved(arm.allowed_version):
         return
-    tried = passed_dry_runs(runs)
+    dry_runs = passed_dry_runs(runs)
     try:
-        found = _unproved(settings)
+        controller = _unproved(settings)
     except OSError as error:
         release = f"{version_text(arm.allowed_version)}."
-        if any(str(p.version).startswith(release) and p.host == arm.host for p in tried):
+        if any(str(p.version).startswith(release) and p.host == arm.host for p in dry_runs):
             return
-        which = f"{arm.allow_version} at {arm.host}, which does not answer ({error})"
+        version = f"{arm.allow_version} at {arm.host}, which does not answer ({error})"
     else:
-        if found is None or any(passed.is_of(found, arm.host) for passed in tried):
+        if controller is None or any(run.is_of(controller, arm.host) for run in dry_runs):
             return
-        which = f"{found.version_text} at {arm.host}"
+        version = f"{controller.version_text} at {arm.host}"
     raise InputError.at(
         config,
         f"{arm.allow_version} is not proved: no dry run at a speed of at most {MOST_SPEED:g} has "
-        f"passed with PolyScope {which}, as far as {runs / FILE} says; "
+        f"passed with PolyScope {version}, as far as {runs / FILE} says; "
         f"empty the jaws, then: cell run --config {config} --runs {runs} --dry-run --speed 0.1",
         key="arm.allow_version",
     )
@@ -98,20 +98,22 @@ def remember_dry_run(settings: Settings, runs: Path, results: Sequence[Result]) 
         slow = result.speed is not None and result.speed <= MOST_SPEED
         if result.outcome is not Outcome.REHEARSED or not slow:
             continue
-        found = None
+        controller = None
         with suppress(OSError):
-            found = _unproved(settings)
-        if found is not None:
-            assert isinstance(settings.arm, given.UrArmSettings) and result.speed is not None
+            controller = _unproved(settings)
+        if controller is not None:
+            assert (
+                isinstance(settings.arm, device_settings.UrArmSettings) and result.speed is not None
+            )
             passed = PassedDryRun(
-                found.version_text,
+                controller.version_text,
                 settings.arm.host,
-                found.serial_number,
+                controller.serial_number,
                 result.speed,
                 datetime.now(UTC).isoformat(timespec="seconds"),
                 result.folder,
             )
-            everything = [asdict(one) for one in (*passed_dry_runs(runs), passed)]
+            everything = [asdict(run) for run in (*passed_dry_runs(runs), passed)]
             write_atomic(runs / FILE, json.dumps(everything, indent=2) + "\n")
 
 
@@ -129,8 +131,8 @@ def _unproved(settings: Settings) -> ControllerIdentity | None:
     raises  OSError: it does not answer
     """
     arm = settings.arm
-    if not isinstance(arm, given.UrArmSettings) or arm.allow_version is None:
+    if not isinstance(arm, device_settings.UrArmSettings) or arm.allow_version is None:
         return None
-    found = identify(arm.host)
-    refused = refusal(found.release, arm.allowed_version) is not None
-    return None if refused or is_proved(found.release) else found
+    controller = identify(arm.host)
+    refused = refusal(controller.release, arm.allowed_version) is not None
+    return None if refused or is_proved(controller.release) else controller

@@ -29,7 +29,7 @@ from cell.run.clocks import CalibratedDelays
 from cell.run.cycle import Cell
 from cell.run.station import ProductTask, Task
 from cell.settings import InputError, Settings
-from cell.settings import devices as given
+from cell.settings import devices as device_settings
 from cell.settings.calibrated import Calibrated, as_gripped, typed
 from cell.settings.plugged import plugged_in
 from cell.settings.provenance import calibration_hash, files_of, line_name
@@ -65,23 +65,23 @@ from drivers.serial_gripper import SerialGripper, SerialGripperOptions
 from drivers.ur import UrArm, UrOptions
 from drivers.urcap_gripper import UrcapGripper, UrcapGripperOptions
 
-#: In simulated time a frame waits so long, s, for the recorder: nothing else is late by that.
+#: Longest wait of a frame for the recorder in simulated time, s: it delays nothing else there.
 PATIENCE_S = 60.0
 
 
 def listed(settings: Settings, runs: Path) -> LedgerSetup | None:
     """Ledger of the settings, with its writer's thread started; None = the settings name none."""
-    wanted = settings.ledger
-    if wanted is None:
+    section = settings.ledger
+    if section is None:
         return None
-    writer = LedgerWriter(LaterLedger(wanted.url or runs), outbox_of(runs))
+    writer = LedgerWriter(LaterLedger(section.url or runs), outbox_of(runs))
     writer.start()
     return LedgerSetup(writer, line_name(settings), software=version("cable-cell"))
 
 
 def in_real_time(settings: Settings) -> bool:
     """Whether the cell's clock runs at the speed of real time, so that computing time counts."""
-    simulated = isinstance(settings.arm, given.SimulatedArm)
+    simulated = isinstance(settings.arm, device_settings.SimulatedArm)
     return not simulated or settings.world.real_time_factor is not None
 
 
@@ -89,20 +89,20 @@ def with_recorder(
     settings: Settings, devices: Devices, runs: Path
 ) -> tuple[Devices, RecordingSetup | None]:
     """Recorded devices, and the set-up of recordings; None = nothing is recorded."""
-    wanted = settings.recording
-    if wanted is None:
+    section = settings.recording
+    if section is None:
         return devices, None
     patience_s = 0.0 if in_real_time(settings) else PATIENCE_S
-    recorder = Recorder(devices.arm, devices.clock, wanted.memory_mb * 10**6, patience_s)
-    room = DiskRoom.of(wanted)
+    recorder = Recorder(devices.arm, devices.clock, section.memory_mb * 10**6, patience_s)
+    room = DiskRoom.of(section)
     shifts = (settings.ledger or LedgerSettings()).shifts
-    last = LastRemoved(wanted.last_removed_every, tuple(map(time_of_day.fromisoformat, shifts)))
+    last = LastRemoved(section.last_removed_every, tuple(map(time_of_day.fromisoformat, shifts)))
     recording = RecordingSetup(
         recorder,
-        keeping=Keeping(frozenset(map(Outcome, wanted.keep)), wanted.keep_every),
-        whole=wanted.whole_frames,
-        retention=Retention(runs, room, last=last, only_stored=wanted.store is not None),
-        uploads=None if wanted.store is None else _uploads(settings, wanted.store, runs),
+        keeping=Keeping(frozenset(map(Outcome, section.keep)), section.keep_every),
+        full_frames=section.whole_frames,
+        retention=Retention(runs, room, last=last, only_stored=section.store is not None),
+        uploads=None if section.store is None else _uploads(settings, section.store, runs),
     )
     return recorded_devices(devices, recorder, recording.uploads), recording
 
@@ -114,7 +114,7 @@ def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
 
 
 _UR_TUNING = ("lookahead_s", "gain")
-#: How well latency and lag must be known, 95 %, for corrections in flight, s.
+#: Largest 95 % half width of latency and lag for corrections in flight, s.
 FEEDBACK_TIME_S = 2e-3
 
 
@@ -132,12 +132,12 @@ def build_cell(
     """A cell with its devices, none of them connected yet, that records and lists its cycles.
 
     seed    of the simulated cables and of their devices' noise
-    cycles  so many simulated cables are laid out; None = there is always another
-    calibration  what is known of camera and clocks; None = as typed
-    twins   of a simulated cell; None = they are made
+    cycles  number of simulated cables; None = unlimited
+    calibration  of camera and clocks; None = as typed
+    twins   of a simulated cell; None = built here
     others  tasks of further products, see `Cell`
     """
-    if isinstance(settings.arm, given.SimulatedArm):
+    if isinstance(settings.arm, device_settings.SimulatedArm):
         twins = build_twins(settings, seed, cycles, calibration) if twins is None else twins
         devices = twin_devices(twins)
     else:
@@ -149,7 +149,7 @@ def build_cell(
 
 
 def guarded_devices(settings: Settings, devices: Devices) -> Devices:
-    """Devices surrounded with the limits of the settings."""
+    """Devices guarded by the limits of the settings."""
     return replace(
         devices,
         arm=GuardedArm(devices.arm, arm_limits_of(settings)),
@@ -168,7 +168,7 @@ def cell_with(
     archive: Archive | None = None,
     others: Sequence[Task] = (),
 ) -> Cell:
-    """A cell around given devices, which it surrounds with their limits.
+    """A cell with existing devices, guarded by their limits.
 
     archive  where its cycles are recorded and listed; None = nowhere
     others   tasks of further products, see `Cell`
@@ -245,7 +245,7 @@ def staged_devices(
     with ExitStack() as stack:
         stack.enter_context(owned(settings, config))
         assistant = None
-        if isinstance(settings.arm, given.SimulatedArm):
+        if isinstance(settings.arm, device_settings.SimulatedArm):
             twins = build_twins(settings, seed, 1, calibration)
             devices = twin_devices(twins)
             assistant = SimulatedAssistant(settings, twins.stage, seed, views)
@@ -287,23 +287,23 @@ def real_devices(settings: Settings, calibration: Calibrated | None = None) -> D
 
 def _real_arm(settings: Settings, lag_s: float) -> Arm:
     arm = settings.arm
-    assert isinstance(arm, given.UrArmSettings)
+    assert isinstance(arm, device_settings.UrArmSettings)
     mount = PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
-    reached = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
-    reached |= {"lag_s": lag_s, "allow_version": arm.allowed_version}
-    return UrArm(UrOptions(mount=mount, **reached))
+    options = arm.model_dump(include={"host", "model", "tcp", "rate_hz", *_UR_TUNING})
+    options |= {"lag_s": lag_s, "allow_version": arm.allowed_version}
+    return UrArm(UrOptions(mount=mount, **options))
 
 
 def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Camera:
     values = settings.camera.model_dump(exclude={"kind", "view", "latency_s", "lost_after_s"})
     match settings.camera:
-        case given.OpenCvCameraSettings() as camera:
+        case device_settings.OpenCvCameraSettings() as camera:
             capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return OpenCvCamera(OpenCvOptions(**values, capture=capture), clock)
-        case given.GenicamCameraSettings() as camera:
+        case device_settings.GenicamCameraSettings() as camera:
             capture = CaptureOptions(latency_s, lost_after_s=camera.lost_after_s)
             return GenicamCamera(GenicamOptions(**values, capture=capture), clock)
-        case given.FilesCameraSettings() as camera:
+        case device_settings.FilesCameraSettings() as camera:
             return FilesCamera(camera.folder, camera.frame_rate_hz, clock)
     raise AssertionError("the settings refuse a simulated camera with a real arm")
 
@@ -311,15 +311,15 @@ def _real_camera(settings: Settings, clock: RealClock, latency_s: float) -> Came
 def _real_gripper(settings: Settings, clock: Clock) -> Gripper:
     values = settings.gripper.model_dump(exclude={"kind", "force_n", "force_limits_n"})
     match settings.gripper:
-        case given.SerialGripperSettings():
+        case device_settings.SerialGripperSettings():
             return SerialGripper(SerialGripperOptions(**values), clock)
-        case given.UrcapGripperSettings():
+        case device_settings.UrcapGripperSettings():
             return UrcapGripper(UrcapGripperOptions(**values), clock)
     raise AssertionError("the settings refuse a simulated gripper with a real arm")
 
 
 def cell_task(settings: Settings, calibration: Calibrated | None = None) -> Task:
-    """What the settings ask the cell to do with every cable; `calibration` None = as typed."""
+    """Task for every cable by the settings; `calibration` None = as typed."""
     calibration = typed(settings) if calibration is None else calibration
     settings = as_gripped(settings, calibration)
     motion = settings.motion
@@ -361,7 +361,7 @@ def corrects_in_flight(settings: Settings, calibration: Calibrated) -> bool:
 
 
 def _delays(settings: Settings, calibration: Calibrated) -> CalibratedDelays | None:
-    """How well the delays are known, and what they may change by; None = not known."""
+    """Uncertainty of the delays, and their allowed change; None = not known."""
     if calibration.delays_95_s is None or settings.calibration is None:
         return None
     return CalibratedDelays(
@@ -370,7 +370,7 @@ def _delays(settings: Settings, calibration: Calibrated) -> CalibratedDelays | N
 
 
 def _choice(settings: Settings, calibration: Calibrated) -> ChoiceOptions:
-    """How to choose; where the camera puts the destination is uncertain by the map as well."""
+    """Options of the choice; the uncertainty of the map adds to that of the destination."""
     start = settings.motion.freedom
     options = ChoiceOptions(
         least_probability=settings.choice.min_probability,

@@ -1,7 +1,7 @@
 """Emulators of a cell's three devices, at the addresses that its settings name.
 
-The emulated camera shows the hidden cables of the simulated world, swung by where the emulated
-arm really is, and between the jaws as long as the emulated gripper holds them.
+The emulated camera shows the hidden cables of the simulated world, swung by the true pose
+of the emulated arm, and between the jaws as long as the emulated gripper holds them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.live import SwingingCable
 from cell.cable.solver import Solver
 from cell.settings import Settings
-from cell.settings import devices as given
+from cell.settings import devices as device_settings
 from cell.settings.check import STREAM
 from cell.wiring.twins import camera_twin, hidden_cable
 from drivers.emulators.camera import CameraEmulatorOptions, EmulatedCamera
@@ -37,10 +37,10 @@ from drivers.ur_kinematics import MODELS, OutOfReachError
 from drivers.ur_pose import matrix_of
 from drivers.ur_versions import has_dashboard, read_version
 
-#: Interval at which the jaws are asked whether they hold a cable, s.
+#: Interval at which the state of the jaws is polled, s.
 _POLL_S = 0.02
 _ANSWER_S = 0.5
-#: Of the hidden cables, s: 10 µm beside the default step, and quick enough beside a real arm.
+#: Time step of hidden cables, s: differs by 10 µm from the default, and runs in real time.
 _STEP_S = 1e-3
 #: Poses with which the cables' code is loaded: how many, s between them, m.
 _LOADING, _POSE_S, _TREMBLING_M = 32, 2e-3, 2e-5
@@ -63,7 +63,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class EmulatedCable:
-    """A hidden cable as an emulated camera wants it."""
+    """A hidden cable with the interface that an emulated camera needs."""
 
     def __init__(self, settings: Settings, seed: int, number: int) -> None:
         model = hidden_cable(settings, seed, number)
@@ -92,7 +92,7 @@ class CellScene:
 def load_code(cable: EmulatedCable) -> None:
     """Load the code of a cable by simulating it at rest, then in a trembling gripper.
 
-    What would be compiled while the camera films holds its pictures up for half a second.
+    Compiling it while the camera films would delay pictures by half a second.
     """
     t_s = _POSE_S * np.arange(1.0, _LOADING)
     x_m, y_m = np.random.default_rng(0).normal(scale=_TREMBLING_M, size=(2, len(t_s)))
@@ -105,12 +105,12 @@ class EmulatedCell:
 
     settings  with a section `emulated`
     seed      of the hidden cables; every grip takes the next one
-    on_grip   told when the jaws have taken a cable, in a thread of its own
+    on_grip   called when the jaws have gripped a cable, in a thread of its own
     """
 
     def __init__(self, settings: Settings, seed: int) -> None:
-        assert isinstance(settings.arm, given.UrArmSettings)
-        assert isinstance(settings.gripper, given.SerialGripperSettings)
+        assert isinstance(settings.arm, device_settings.UrArmSettings)
+        assert isinstance(settings.gripper, device_settings.SerialGripperSettings)
         self._settings = settings
         self._seed = seed
         self._end = threading.Event()
@@ -122,7 +122,7 @@ class EmulatedCell:
         self.on_grip: Callable[[], None] = lambda: None
 
     def __enter__(self) -> Self:
-        """Raises EmulatorError: one of them does not start."""
+        """Raises EmulatorError: an emulator does not start."""
         with contextlib.ExitStack() as stack:
             for emulator in (self.controller, self.gripper, self.camera):
                 stack.enter_context(emulator)
@@ -150,7 +150,7 @@ class EmulatedCell:
         )
 
     def ended(self) -> list[str]:
-        """Those whose processes have ended, though nobody ended them."""
+        """Names of the emulators whose processes have ended unexpectedly."""
         return [
             f"the emulated {name} (process {emulator.pid})"
             for name, emulator in (
@@ -162,15 +162,15 @@ class EmulatedCell:
         ]
 
     def _watch(self) -> None:
-        """Tell the camera whenever the jaws have taken a cable or let it go."""
+        """Notify the camera whenever the jaws have gripped or released a cable."""
         held = False
         with contextlib.suppress(EmulatorError):  # one of them was killed
             while not self._end.wait(_POLL_S):
                 if self.gripper.observe().held is not held:
                     held = not held
                     self.cables += held
-                    what = f"cable {self.cables} is gripped" if held else "the cable is let go"
-                    _LOG.info("emulated jaws: %s", what)
+                    event = f"cable {self.cables} is gripped" if held else "the cable is let go"
+                    _LOG.info("emulated jaws: %s", event)
                     cable = HiddenCableFactory(self._settings, self._seed, self.cables)
                     self.camera.notify(cable if held else None)
                     if held:
@@ -179,21 +179,21 @@ class EmulatedCell:
 
 def runs_already(settings: Settings) -> bool:
     """Whether emulators are there already."""
-    assert isinstance(settings.arm, given.UrArmSettings)
+    assert isinstance(settings.arm, device_settings.UrArmSettings)
     with contextlib.suppress(OSError):
         socket.create_connection((settings.arm.host, FAULT_PORT), _ANSWER_S).close()
         return True
     return False
 
 
-def _mount(arm: given.UrArmSettings) -> PlaneMount:
+def _mount(arm: device_settings.UrArmSettings) -> PlaneMount:
     return PlaneMount(arm.plane_origin_m, arm.plane_x_axis, arm.plane_y_axis)
 
 
 def _controller(settings: Settings) -> EmulatedController:
     """Raises EmulatorError."""
     arm, emulated = settings.arm, settings.emulated
-    assert isinstance(arm, given.UrArmSettings)
+    assert isinstance(arm, device_settings.UrArmSettings)
     assert emulated is not None
     return EmulatedController(arm.host, emulated.polyscope, arm.model, start_rad=_start(settings))
 
@@ -201,7 +201,7 @@ def _controller(settings: Settings) -> EmulatedController:
 def _start(settings: Settings) -> FloatArray:
     """(6,) joints with the gripping point where cables are grasped.  Raises EmulatorError."""
     arm, home = settings.arm, settings.motion.home
-    assert isinstance(arm, given.UrArmSettings)
+    assert isinstance(arm, device_settings.UrArmSettings)
     X_BT = _mount(arm).to_base(Pose(home.x_m, home.y_m, home.angle_rad))
     try:
         return MODELS[arm.model].inverse(X_BT, np.array(HOME_RAD), matrix_of(np.array(arm.tcp)))
@@ -214,10 +214,10 @@ def _start(settings: Settings) -> FloatArray:
 def _camera(
     settings: Settings, first: HiddenCableFactory
 ) -> tuple[CellScene, CameraEmulatorOptions, tuple[str, int]]:
-    """What an `EmulatedCamera` is made of."""
+    """Arguments of an `EmulatedCamera`."""
     arm, camera, emulated = settings.arm, settings.camera, settings.emulated
-    assert isinstance(arm, given.UrArmSettings)
-    assert isinstance(camera, given.OpenCvCameraSettings)
+    assert isinstance(arm, device_settings.UrArmSettings)
+    assert isinstance(camera, device_settings.OpenCvCameraSettings)
     assert emulated is not None
     options = camera_twin(settings, emulated, first.seed)
     scene = ArmScene(arm.host, _mount(arm), arm.model, arm.tcp, camera=options, seed=first.seed)

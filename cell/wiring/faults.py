@@ -15,11 +15,11 @@ from drivers.emulators.camera import StreamFaults
 from drivers.emulators.launch import EmulatorError
 from drivers.emulators.robotiq import RobotiqFaults
 
-#: The word that ends all faults, and is no fault itself.
+#: Command that ends all faults; not a fault itself.
 REPAIR = "repair"
 #: Longest time after a grip, s.
 _LONGEST_S = 3600.0
-_GIVEN = re.compile(r"([a-z_.]+)(?:@([0-9]*\.?[0-9]+)\s*s?)?")
+_PATTERN = re.compile(r"([a-z_.]+)(?:@([0-9]*\.?[0-9]+)\s*s?)?")
 _LOG = logging.getLogger(__name__)
 
 Act = Callable[[EmulatedCell], None]
@@ -27,7 +27,7 @@ Act = Callable[[EmulatedCell], None]
 
 @dataclass(frozen=True)
 class FaultKind:
-    """What happens, in words, and how it is caused."""
+    """Description of a fault, and the action that causes it."""
 
     what: str
     cause: Act
@@ -92,26 +92,26 @@ KINDS: Mapping[str, FaultKind] = {
 }
 
 
-def read_fault(given: str) -> RequestedFault:
+def read_fault(text: str) -> RequestedFault:
     """`NAME` or `NAME@2s`.  Raises ValueError: no such fault, or no such time."""
-    match = _GIVEN.fullmatch(given.strip())
+    match = _PATTERN.fullmatch(text.strip())
     if match is None:
-        raise ValueError(f"{given!r}: must be a fault and a time, like camera.lost@2s")
+        raise ValueError(f"{text!r}: must be a fault and a time, like camera.lost@2s")
     name, after = match.groups()
     if name not in KINDS:
         like = difflib.get_close_matches(name, KINDS, 1)
         hint = f"; is it {like[0]}?" if like else ""
-        raise ValueError(f"{given!r}: there is no fault {name}{hint} There are {', '.join(KINDS)}")
+        raise ValueError(f"{text!r}: there is no fault {name}{hint} There are {', '.join(KINDS)}")
     after_s = None if after is None else float(after)
     if after_s is not None and after_s > _LONGEST_S:
-        raise ValueError(f"{given!r}: at most {_LONGEST_S:.0f} s after a cable is gripped")
+        raise ValueError(f"{text!r}: at most {_LONGEST_S:.0f} s after a cable is gripped")
     return RequestedFault(name, after_s)
 
 
 class DeviceFaults:
-    """Gives faults to emulated devices, and ends them.
+    """Causes faults of emulated devices, and ends them.
 
-    say  told of what happens, from any thread
+    say  called with a message at every event, from any thread
     """
 
     def __init__(self, cell: EmulatedCell, say: Callable[[str], None]) -> None:
@@ -123,7 +123,7 @@ class DeviceFaults:
         cell.on_grip = self._gripped
 
     def give(self, fault: RequestedFault) -> None:
-        """At once, or when it is due."""
+        """Cause a fault at once, or when it is due."""
         if fault.after_s is None:
             self._cause(fault)
             return
@@ -132,14 +132,14 @@ class DeviceFaults:
         self._say(f"{fault}: waits for a cable")
 
     def repair(self) -> None:
-        """End all faults, and forget those that have not come."""
+        """End all faults, and cancel those that are not due yet."""
         with self._lock:
             for timer in self._timers:
                 timer.cancel()
             self._awaited, self._timers = [], []
         try:
             self._mend()
-        except (EmulatorError, OSError) as error:  # one of them is dead: it is said elsewhere
+        except (EmulatorError, OSError) as error:  # a dead emulator, which is reported elsewhere
             self._say(f"{REPAIR}: {error}")
             return
         _LOG.info("faults repaired")
@@ -168,7 +168,7 @@ class DeviceFaults:
         kind = KINDS[fault.name]
         try:
             kind.cause(self._cell)
-        except Exception as error:  # in a timer's thread nobody else would say it
+        except Exception as error:  # a timer's thread has no other report
             self._say(f"{fault.name}: cannot be given: {error}")
             return
         _LOG.info("fault given: %s", fault.name)

@@ -29,9 +29,9 @@ from drivers.interfaces import CameraError, ConnectError, Devices, Frame, Pose, 
 from drivers.replay import FilmedArm, ReplayCamera, ReplayGripper
 from drivers.sim.clock import SimClock
 
-#: Before the film a cell that plays it has this time for what comes before, s.
+#: Time of a cell that plays a film before the film begins, s.
 BEFORE_S = 60.0
-#: A gripper that is no farther from where it ends than this rests, m and rad.
+#: A gripper within this distance of its last pose is at rest, m and rad.
 REST_M, REST_RAD = 0.2e-3, 2e-3
 #: A gripper that moves less does not make a cable swing, m.
 LEAST_STROKE_M = 2e-3
@@ -43,7 +43,7 @@ class RenderedFilm:
 
     frames  in their order, from index 0
     gripper_log  poses for at least as long
-    rest_s  from here on the gripper rests
+    rest_s  time from which the gripper rests
     """
 
     frames: tuple[Frame, ...]
@@ -77,7 +77,7 @@ def read_film(
     poses          CSV: t_s, x_m, y_m, angle_rad
     frame_rate_hz  None = as `frames.csv` or the video says
     first_frame_s  added to the film's times: when its first frame was exposed, on the poses' clock
-    raises         InputError: one cannot be read, or they do not belong together
+    raises         InputError: a file cannot be read, or the two do not belong together
     """
     motion = read_grip(poses)
     hand = Trajectory(motion.t_s, motion.x_m, motion.y_m, motion.angle_rad)
@@ -130,7 +130,7 @@ def _frames(film: Path, frame_rate_hz: float | None) -> tuple[float, list[Frame]
         return video_frames(film, frame_rate_hz)
     camera = FilesCamera(film, frame_rate_hz)
     camera.connect()
-    camera.start(camera.left)
+    camera.start(camera.remaining)
     frames = []
     while (frame := camera.read()) is not None:
         frames.append(frame)
@@ -188,7 +188,7 @@ def record_film(
 
     with TemporaryDirectory(dir=target.parent) as folder:
         around = recorded_devices(devices, recorder)
-        archive = Archive(RecordingSetup(recorder, whole=True))
+        archive = Archive(RecordingSetup(recorder, full_frames=True))
         cell = cell_with(settings, around, Path(folder), step, known, archive=archive)
         try:
             result = cell.run_cycle(1, filmed(filming, decides=decides))

@@ -23,23 +23,23 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.settings import Settings
-from cell.settings import devices as given
+from cell.settings import devices as device_settings
 from cell.settings.plugged import place_of
 from drivers.ur_claim import COMMANDS, ClaimedError, claim
 
 #: Folders that may hold the locks: the first in which every user may make files.
 _FOLDERS = (Path("/run/lock"), Path("/tmp"))
-#: An owner that has just been killed still stops its arm; it is waited for so long, s.
-_DYING_S, _LOOK_S = 3.0, 0.05
+#: Longest wait for a killed owner, which still stops its arm, and polling interval, s.
+_DYING_S, _POLL_S = 3.0, 0.05
 _REMEDY = "end that program, or let it finish"
 
 
 @dataclass(frozen=True)
 class Device:
-    """What one program may own.
+    """A device that one program may own.
 
-    key   of the settings, where its address is
-    name  kind and address: the same for everybody who means this device
+    key   of the settings that has its address
+    name  kind and address: the same in all programs
     """
 
     key: str
@@ -68,7 +68,7 @@ class Owner:
 
 
 class _OwnedError(Exception):
-    """Somebody owns a device; `pid` of its process here, None = it is not known."""
+    """A device has an owner; `pid` of its process on this computer, None = not known."""
 
     def __init__(self, device: Device, message: str, pid: int | None) -> None:
         super().__init__(message)
@@ -82,7 +82,7 @@ def owned(settings: Settings, config: Path) -> Iterator[None]:
 
     raises  InputError: another program commands one of them, with its process and the remedy
     """
-    host = settings.arm.host if isinstance(settings.arm, given.UrArmSettings) else None
+    host = settings.arm.host if isinstance(settings.arm, device_settings.UrArmSettings) else None
     with _own(devices_of(settings), host, config):
         yield
 
@@ -98,23 +98,23 @@ def owned_outputs(host: str, config: Path) -> Iterator[None]:
 
 
 def devices_of(settings: Settings) -> list[Device]:
-    """The devices of a cell that are really there, arm first."""
+    """The real and emulated devices of a cell, arm first."""
     arm, camera, gripper = settings.arm, settings.camera, settings.gripper
     devices = []
-    if isinstance(arm, given.UrArmSettings):
+    if isinstance(arm, device_settings.UrArmSettings):
         devices.append(Device("arm.host", f"arm {_address(arm.host)}"))
     match camera:
-        case given.OpenCvCameraSettings():
+        case device_settings.OpenCvCameraSettings():
             path = camera.device
             path = f"/dev/video{path}" if isinstance(path, int) else path
             devices.append(Device("camera.device", f"camera {_place(path)}"))
-        case given.GenicamCameraSettings():
+        case device_settings.GenicamCameraSettings():
             which = camera.serial_number or f"of {camera.producer.resolve()}"
             devices.append(Device("camera.serial_number", f"camera {which}"))
     match gripper:
-        case given.SerialGripperSettings():
+        case device_settings.SerialGripperSettings():
             devices.append(Device("gripper.port", f"gripper on {_place(gripper.port)}"))
-        case given.UrcapGripperSettings():
+        case device_settings.UrcapGripperSettings():
             place = f"{_address(gripper.host)}:{gripper.port}"
             devices.append(Device("gripper.host", f"gripper on {place}"))
     for name, section in (("arm", arm), ("camera", camera), ("gripper", gripper)):
@@ -138,7 +138,7 @@ def _place(device: str) -> str:
 
 @contextmanager
 def _own(devices: list[Device], host: str | None, config: Path) -> Iterator[None]:
-    """Own all of these, and see that nobody else commands the controller at `host`."""
+    """Own all devices, and check that no other program commands the controller at `host`."""
     until_s = time.monotonic() + _DYING_S
     with ExitStack() as owning:
         while True:
@@ -152,7 +152,7 @@ def _own(devices: list[Device], host: str | None, config: Path) -> Iterator[None
                 owning.close()
                 if _runs(error.pid) or time.monotonic() > until_s:
                     raise InputError.at(config, str(error), key=error.device.key) from error
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)
         yield
 
 
@@ -177,7 +177,7 @@ def _lock(device: Device, owning: ExitStack) -> None:
 
 
 def _opened(path: Path) -> int:
-    """A file that every user may lock; it stays when it is closed, or two could hold its lock."""
+    """A file that every user may lock; it is never deleted, or two could hold its lock."""
     while True:
         try:
             return os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -186,14 +186,14 @@ def _opened(path: Path) -> int:
         try:
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
             descriptor = os.open(path, flags, 0o600)
-        except FileExistsError:  # somebody was quicker
+        except FileExistsError:  # another program was faster
             continue
         os.fchmod(descriptor, 0o666)
         return descriptor
 
 
 def _owner(descriptor: int) -> Owner | None:
-    """Who holds a lock; None = nothing is written yet."""
+    """Holder of a lock; None = nothing is written yet."""
     try:
         return Owner(**json.loads(os.pread(descriptor, 65536, 0)))
     except (ValueError, TypeError):
@@ -201,12 +201,12 @@ def _owner(descriptor: int) -> Owner | None:
 
 
 def _check_unclaimed(arm: Device, host: str) -> None:
-    """Raises _OwnedError: somebody commands the controller; one that does not answer has nobody."""
+    """Raises _OwnedError: another program commands the controller; no answer means none does."""
     try:
         claim(host, os.getpid(), [COMMANDS]).close()
     except ClaimedError as error:
-        there = error.commander
-        pid = there.pid if there is not None and there.here else None
+        commander = error.commander
+        pid = commander.pid if commander is not None and commander.here else None
         message = f"{arm.name}: {error}; {error.remedy}"
         raise _OwnedError(arm, message, pid) from error
     except OSError:
@@ -214,7 +214,7 @@ def _check_unclaimed(arm: Device, host: str) -> None:
 
 
 def _runs(pid: int | None) -> bool:
-    """Whether an owner lives; one who is not known may have just been killed."""
+    """Whether an owner runs; an unknown one may have just been killed."""
     if pid is None:
         return False
     try:
@@ -227,13 +227,13 @@ def _runs(pid: int | None) -> bool:
 
 
 def _program() -> str:
-    """How this program is called."""
+    """Name of this program."""
     called = Path(sys.argv[0])
     return called.parent.name if called.name == "__main__.py" else called.name
 
 
 def _folder() -> Path:
-    """The same for all users of this computer."""
+    """Folder of the locks, the same for all users of this computer."""
     for folder in _FOLDERS:
         try:
             mode = folder.stat().st_mode

@@ -1,4 +1,4 @@
-"""Runs the cell again on a recorded cycle, and compares what it decides with what was decided."""
+"""Runs the cell again on a recorded cycle, and compares its decisions with the recorded ones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from drivers.interfaces import Devices
 from drivers.replay import RecordedPoses, ReplayArm, ReplayCamera, ReplayGripper
 from drivers.sim.clock import SimClock
 
-#: Before its first film a replayed cycle has this time for what comes before, s.
+#: Time of a replayed cycle before its first film, s.
 _BEFORE_S = 60.0
 
 
@@ -46,11 +46,11 @@ def replayed_devices(
     simulated_s: list[float] = []
     clock = SimClock(tries[0][0] - _BEFORE_S)
     answers = [
-        RecordedPoses(said["start_s"], said["end_s"], poses)
-        for said, poses in recording.trajectories(form.ANSWER)
+        RecordedPoses(data["start_s"], data["end_s"], poses)
+        for data, poses in recording.trajectories(form.ANSWER)
     ]
-    filmed = [p for said, p in recording.trajectories(form.PATH) if said["start_s"] is not None]
-    held = any(said["holding"] for said in recording.json(form.GRIPPER))
+    filmed = [p for data, p in recording.trajectories(form.PATH) if data["start_s"] is not None]
+    held = any(data["holding"] for data in recording.json(form.GRIPPER))
     devices = Devices(
         ReplayArm(
             clock,
@@ -79,32 +79,32 @@ def replayed_devices(
 
 
 def _tries(recording: Recording) -> Iterator[tuple[float, list[float]]]:
-    """When each film of a hold began, and when simulations of its offsets did."""
+    """Start of each film of a hold, and starts of the simulations of its offsets."""
     decisions = [d["simulated_s"] for d in recording.json(form.DECISION)]
-    begun_s = list(dict.fromkeys(said["begin_s"] for said in recording.json(form.FILMING)))
+    begun_s = list(dict.fromkeys(data["begin_s"] for data in recording.json(form.FILMING)))
     for begin_s, end_s in zip(begun_s, [*begun_s[1:], math.inf], strict=True):
-        made = [s for s in decisions if s and begin_s <= s[0] < end_s]
-        yield begin_s, list(max(made, key=len, default=[]))
+        matching = [s for s in decisions if s and begin_s <= s[0] < end_s]
+        yield begin_s, list(max(matching, key=len, default=[]))
 
 
-#: Of a result these tell what was found; the rest is time and place.
+#: Fields of a result that are compared; the others depend on time and place.
 _OF_RESULT = (
     *("outcome", "reason", "stops", "hold_saved_s", "offset_m", "delay_s", "pace", "corrections"),
     *("further_m", "predicted_miss_m", "measured_miss_m", "margin_m", "predicted_margin_m"),
     *("predicted_std_m", "probability", "prediction_error_m"),
     *("residual_rms_m", "noise_m", "model", "parameters"),
 )
-#: What recordings of the first version do not say: nothing to compare with.
+#: Fields that recordings of the first version lack: not compared then.
 _RECORDED_LATER = frozenset(
     {"delay_s", "pace", "further_m", "hold_saved_s", "corrections", "stops"}
 )
-#: Of a decision these depend on the computer's speed, or are said elsewhere.
+#: Fields of a decision that depend on the computer's speed, or are compared elsewhere.
 _NOT_OF_DECISION = frozenset({"wait_s", "simulated_s"})
 
 
 @dataclass(frozen=True)
 class ReplayDifference:
-    """A number or a word that came out otherwise."""
+    """A value that differs between recording and replay."""
 
     name: str
     then: Any
@@ -113,14 +113,14 @@ class ReplayDifference:
 
 @dataclass(frozen=True)
 class Replayed:
-    """A cycle that was replayed.
+    """Result of a replay.
 
     result       of the replay
-    complete     whether the recording holds the cycle to its end
-    decided      whether there was a decision then
-    differences  from then, in decision, final model and result; empty = bit for bit the same
+    complete     whether the recording contains the cycle to its end
+    decided      whether it contains a decision
+    differences  in decision, models and result; empty = bit for bit the same
     software     packages whose version differs: name → (then, now)
-    losses       what was measured and is not in the recording
+    losses       measured data that are missing in the recording
     """
 
     recording: Path
@@ -154,56 +154,56 @@ def replay(
     """Carry out a recorded cycle again, on its frames and measured poses.
 
     config  other settings; None = those of the recording, with its calibration and effects
-    runs    folder in which the replayed cycle gets its own
-    raises  InputError: settings are wrong, or the recording is damaged or lacks what is needed
+    runs    parent folder of the replayed cycle's folder
+    raises  InputError: settings are wrong, or the recording is damaged or incomplete
     """
     recording.check()
-    about = recording.last(form.CYCLE) or {}
-    aim = about.get("aim")
-    plan = None if aim is None else _plan(recording, about)
+    cycle = recording.last(form.CYCLE) or {}
+    aim = cycle.get("aim")
+    plan = None if aim is None else _plan(recording, cycle)
     if plan is None:
-        what = "of nothing" if aim is None else f"of a cycle to have a cable {aim}"
-        message = f"is {what}; only insertions and films of your own can be replayed"
+        subject = "of nothing" if aim is None else f"of a cycle to have a cable {aim}"
+        message = f"is {subject}; only insertions and films of your own can be replayed"
         raise InputError.at(recording.path, message)
     with TemporaryDirectory() as folder:
-        settings, known = _settings(recording, config, Path(folder), about)
+        settings, known = _settings(recording, config, Path(folder), cycle)
         devices, set_clock = replayed_devices(recording, settings)
-        heard = _ReplayedEvents()
+        events = _ReplayedEvents()
 
         def step(number: int, name: str) -> None:
             set_clock(number, name)
             on_step(number, name)
 
-        archive = Archive(RecordingSetup(heard))
+        archive = Archive(RecordingSetup(events))
         cell = cell_with(settings, devices, runs, step, known, archive=archive)
         try:
-            result = cell.run_cycle(about["cycle"], plan)
+            result = cell.run_cycle(cycle["cycle"], plan)
         finally:
             cell.close()
-    then, now = _found(recording), heard.found()
+    then, now = _recorded_values(recording), events.values()
     return Replayed(
         recording.path,
         result,
         recording.complete,
         then.decision is not None,
         tuple(_differences(then, now)),
-        _software(recording, heard.begun),
+        _software(recording, events.begun),
         recording.losses(),
     )
 
 
-def _plan(recording: Recording, about: Mapping[str, Any]) -> Plan | None:
-    """What was done in the recorded cycle; None = what cannot be done again."""
-    if about["aim"] == Outcome.INSERTED.value:
+def _plan(recording: Recording, cycle: Mapping[str, Any]) -> Plan | None:
+    """Plan of the recorded cycle; None = it cannot be replayed."""
+    if cycle["aim"] == Outcome.INSERTED.value:
         return INSERTING
-    said = recording.last(form.FILMING)
-    if FILM not in about["steps"] or said is None:
+    filming = recording.last(form.FILMING)
+    if FILM not in cycle["steps"] or filming is None:
         return None
-    return filmed(Filming(**said), decides=LOOK not in about["steps"])
+    return filmed(Filming(**filming), decides=LOOK not in cycle["steps"])
 
 
 def _settings(
-    recording: Recording, config: Path | None, folder: Path, about: Mapping[str, Any]
+    recording: Recording, config: Path | None, folder: Path, cycle: Mapping[str, Any]
 ) -> tuple[Settings, Calibrated]:
     if config is not None:
         settings = load_settings(config)
@@ -214,12 +214,12 @@ def _settings(
     except ValueError as error:  # pydantic's, too
         message = f"its settings are of another version: {error}; give some with --config"
         raise InputError.at(recording.path, message) from error
-    started = datetime.fromisoformat(about["started"]).astimezone()
+    started = datetime.fromisoformat(cycle["started"]).astimezone()
     return _at_once(settings), calibrated(settings, recording.path, started)
 
 
 def _at_once(settings: Settings) -> Settings:
-    """The same, in simulated time that nobody waits for."""
+    """The same, in simulated time without waiting."""
     world = settings.world.model_copy(update={"real_time_factor": None})
     return settings.model_copy(update={"world": world})
 
@@ -232,7 +232,7 @@ class _ReplayedValues:
 
 
 class _ReplayedEvents:
-    """Takes what a replayed cycle hands over, in place of a recorder."""
+    """Collects the events of a replayed cycle, in place of a recorder."""
 
     def __init__(self) -> None:
         self.begun: Mapping[str, str] = {}
@@ -243,11 +243,11 @@ class _ReplayedEvents:
         self.begun = dict(begun)
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
-        """Kept as it would be read from a file."""
+        """Store it as it would be read from a file."""
         self._events.setdefault(topic, []).append(plain(data))
 
     def add_detections(self, t_s: Sequence[float], points_px: Any) -> None:
-        """Follows from the rest."""
+        """Ignore them: they follow from the other data."""
 
     def end(self, keep: bool = True, whole: bool = False) -> None:
         """Nothing is written."""
@@ -258,7 +258,7 @@ class _ReplayedEvents:
     def close(self) -> None:
         """Nothing is open."""
 
-    def found(self) -> _ReplayedValues:
+    def values(self) -> _ReplayedValues:
         decisions, results = self._events.get(form.DECISION), self._events.get(form.RESULT)
         return _ReplayedValues(
             decisions[-1] if decisions else None,
@@ -267,14 +267,14 @@ class _ReplayedEvents:
         )
 
 
-def _found(recording: Recording) -> _ReplayedValues:
+def _recorded_values(recording: Recording) -> _ReplayedValues:
     return _ReplayedValues(
         recording.last(form.DECISION), list(recording.json(form.MODEL)), recording.last(form.RESULT)
     )
 
 
 def _differences(then: _ReplayedValues, now: _ReplayedValues) -> list[ReplayDifference]:
-    found = []
+    differences = []
     pairs: list[tuple[str, Any, Any]] = [
         ("decision", _part(then.decision), _part(now.decision)),
         *(
@@ -287,10 +287,10 @@ def _differences(then: _ReplayedValues, now: _ReplayedValues) -> list[ReplayDiff
         a, b = ({k: r.get(k) for k in known} for r in (then.result, now.result))
         pairs.append(("result", a, b))
     for name, a, b in pairs:
-        found += _compared(name, a, b)
-    if len(now.models) < len(then.models):  # more of them: the recording ends before the cycle does
-        found.append(ReplayDifference("models", len(then.models), len(now.models)))
-    return found
+        differences += _compared(name, a, b)
+    if len(now.models) < len(then.models):  # more are no difference: the recording may be cut off
+        differences.append(ReplayDifference("models", len(then.models), len(now.models)))
+    return differences
 
 
 def _part(decision: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
@@ -311,9 +311,9 @@ def _compared(name: str, then: Any, now: Any) -> list[ReplayDifference]:
 
 
 def _software(recording: Recording, now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    apart = ("cycle", "started", "host", "process", "format", form.EPOCH, form.RING)
+    excluded = ("cycle", "started", "host", "process", "format", form.EPOCH, form.RING)
     return {
-        name: (said, now[name])
-        for name, said in recording.started.items()
-        if name not in apart and name in now and now[name] != said
+        name: (then, now[name])
+        for name, then in recording.started.items()
+        if name not in excluded and name in now and now[name] != then
     }

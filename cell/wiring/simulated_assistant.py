@@ -90,7 +90,7 @@ def photograph_board(
 
 #: How far the board is moved towards the camera and back, m.
 _DEPTH_M = 0.08
-#: Places of the plumb line beside the picture's middle, in widths of the picture.
+#: Offsets of the plumb line from the picture's middle, in widths of the picture.
 _ASIDE = 0.25
 
 

@@ -15,7 +15,7 @@ from cell.cable.geometry import Motion
 from cell.cable.model import CableModel
 from cell.cable.solver import Solver
 from cell.settings import Settings
-from cell.settings import devices as given
+from cell.settings import devices as device_settings
 from cell.settings.calibrated import Calibrated, typed
 from cell.settings.devices import Emulated
 from cell.settings.model import JawPlate
@@ -82,7 +82,7 @@ class Twins:
     """The simulated world and the devices in it, without the limits around them.
 
     seed     of the cables
-    numbers  of the cables to come
+    numbers  of the following cables
     """
 
     world: SimWorld
@@ -93,14 +93,14 @@ class Twins:
     numbers: Iterator[int] = field(default_factory=count)
 
     def make(self, settings: Settings) -> None:
-        """The cables to come, and their look, are those of these settings."""
+        """Take the following cables, and their appearance, from these settings."""
         self.world.supply(_cables(settings, self.seed, self.numbers))
         if isinstance(self.camera, SimCamera):
-            assert isinstance(settings.camera, given.SimulatedCamera)
+            assert isinstance(settings.camera, device_settings.SimulatedCamera)
             self.camera.redraw(camera_twin(settings, settings.camera, self.seed).picture)
 
     def stage(self, staging: Staging) -> None:
-        """Hold something before the camera."""
+        """Hold an object in front of the camera."""
         if isinstance(self.camera, SimCamera):
             self.camera.stage(staging)
 
@@ -110,12 +110,12 @@ def build_twins(
 ) -> Twins:
     """The simulated world with `cycles` cables laid out; for settings whose devices are `sim`.
 
-    cycles  None = there is always another cable
-    calibration  what the devices' drivers are told of their delays; None = as typed
+    cycles  None = unlimited number of cables
+    calibration  delays that the drivers assume; None = as typed
     """
     calibration = typed(settings) if calibration is None else calibration
     arm = settings.arm
-    assert isinstance(arm, given.SimulatedArm)
+    assert isinstance(arm, device_settings.SimulatedArm)
     clock = SimClock(real_time_factor=settings.world.real_time_factor)
     world = SimWorld(clock, pose_of(settings.motion.home))
     numbers = count(1)
@@ -150,9 +150,9 @@ def _simulated_camera(
     settings: Settings, world: SimWorld, seed: int, calibration: Calibrated
 ) -> SimCamera | FilesCamera:
     camera = settings.camera
-    if isinstance(camera, given.FilesCameraSettings):
+    if isinstance(camera, device_settings.FilesCameraSettings):
         return FilesCamera(camera.folder, camera.frame_rate_hz, world.clock)
-    assert isinstance(camera, given.SimulatedCamera)
+    assert isinstance(camera, device_settings.SimulatedCamera)
     hidden = settings.world.camera
     late_s = 0.0 if hidden is None else hidden.stamps_late_s - calibration.latency_s
     twin = replace(camera_twin(settings, camera, seed), stamps_late_s=late_s)
@@ -160,11 +160,11 @@ def _simulated_camera(
 
 
 def camera_twin(
-    settings: Settings, look: given.SimulatedCamera | Emulated, seed: int
+    settings: Settings, look: device_settings.SimulatedCamera | Emulated, seed: int
 ) -> CameraTwinOptions:
     """Options of the camera's twin, from the settings; `look` has blur, exposure and noise."""
     camera = settings.camera
-    assert not isinstance(camera, given.FilesCameraSettings)
+    assert not isinstance(camera, device_settings.FilesCameraSettings)
     vision = settings.vision
     picture = replace(
         RenderOptions() if vision.cable_is == "dark" else LIGHT_ON_DARK,
@@ -182,7 +182,7 @@ def camera_twin(
 
 
 def _sight(settings: Settings) -> Sight:
-    """Where the camera of a cell that is not real really stands."""
+    """True pose and lens of the camera of a simulated or emulated cell."""
     hidden, camera = settings.world.camera, settings.camera
     if hidden is None:
         return typed(settings).view.homography
