@@ -1,8 +1,8 @@
 """Recording from a streaming camera: a thread takes and counts every picture.
 
-A camera library is a `Source`.  Everything else is the same for all of them and lives here: the
-deadline of opening, slow and silent cameras, and the origin of the camera's time stamps; what is
-wrong with single pictures is in `recording`.
+A camera library is a `Source`.  The parts common to all are here: the deadline of opening,
+slow and silent cameras, and the origin of the camera's timestamps; faults of single pictures are
+in `recording`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
-#: Before all that computes, behind the arm: a picture that is not taken in time is lost.
+#: Above all computations, below the arm: a picture that is not read in time is lost.
 _PRIORITY = 8
 _LEAST_PERIODS = 3.0  # of silence before a camera is lost
 _WAKING_S = 0.002
@@ -47,8 +47,8 @@ class FrameSource(Protocol):
     def grab(self, wanted: Callable[[], bool]) -> Shot | None:
         """The next picture, waiting for it; None = none came yet.
 
-        wanted  whether the image itself is wanted, asked when it is there
-        raises  DeviceLostError: there will be no more; CameraError: it is unusable
+        wanted  whether the image itself is wanted; called when it has arrived
+        raises  DeviceLostError: no further picture will come; CameraError: it is unusable
         """
         ...
 
@@ -61,8 +61,8 @@ class StreamingCamera:
     """Camera whose pictures a thread takes, so that a slow reader delays none.
 
     open_source  opens a camera, sets it up and reads it back; raises ConnectError.  It may hang
-                 for longer than `connect_s`: then its thread is left behind, and releases the
-                 camera when it gets it.
+                 for longer than `connect_s`: then its thread is abandoned, and releases the
+                 camera once it is open.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class StreamingCamera:
         return self._options.latency_s
 
     def connect(self) -> None:
-        """Open the camera and see pictures come.  Raises ConnectError."""
+        """Open the camera and check that pictures arrive.  Raises ConnectError."""
         self.close()
         stream = _Stream(self._open_source, self._options, self._clock, self.name)
         try:
@@ -108,7 +108,7 @@ class StreamingCamera:
             stream.quit(wait_s=1.0)
 
     def check(self) -> None:
-        """Raises DeviceLostError: no pictures come; CameraError: what is recorded is unusable."""
+        """Raises DeviceLostError: no pictures come; CameraError: the recording is unusable."""
         self._connected_stream().check()
 
     def start(self, frame_count: int) -> None:
@@ -135,7 +135,7 @@ class StreamingCamera:
 
 
 class _Stream:
-    """One connection: its thread, and what the thread and the callers share."""
+    """A connection: its thread, and the state shared by the thread and the callers."""
 
     def __init__(
         self,
@@ -170,26 +170,26 @@ class _Stream:
                 while not self._quit.is_set():
                     shot = source.grab(self._wanted)
                     if shot is not None:
-                        self._take(ArrivedShot(shot, self._clock.now_s()))
+                        self._store(ArrivedShot(shot, self._clock.now_s()))
             finally:
                 source.close()
         except DeviceError as error:
             self._fail(error)
 
     def _died(self, error: BaseException) -> None:
-        """What a camera library raised, of which nobody hears in this thread, as a cause."""
+        """Report an uncaught error of the camera library as the loss of the camera."""
         self._fail(DeviceLostError(self._device, error_text(error), _LOST_REMEDY))
 
     def _wanted(self) -> bool:
         recording = self._recording
         return recording is not None and not recording.complete
 
-    def _take(self, taken: ArrivedShot) -> None:
+    def _store(self, arrived: ArrivedShot) -> None:
         with self._changed:
-            self._recent.append(ArrivedShot(_without_image(taken.shot), taken.arrived_s))
+            self._recent.append(ArrivedShot(_without_image(arrived.shot), arrived.arrived_s))
             recording = self._recording
             if recording is not None and not recording.complete:
-                recording.take(taken)
+                recording.take(arrived)
             self._changed.notify_all()
 
     def _fail(self, error: DeviceError) -> None:
@@ -220,10 +220,10 @@ class _Stream:
                     departure = abs(measured_hz / self._rate_hz - 1.0)
                     if departure <= self._options.rate_tolerance:
                         return self._rate_hz
-                left_s = until_s - self._clock.now_s()
-                if left_s <= 0.0:
+                remaining_s = until_s - self._clock.now_s()
+                if remaining_s <= 0.0:
                     raise self._not_settled(measured_hz)
-                self._changed.wait(left_s)
+                self._changed.wait(remaining_s)
 
     def check(self) -> None:
         with self._changed:
@@ -260,12 +260,12 @@ class _Stream:
                         raise recording.error
                     return None
                 try:
-                    left_s = self._check_alive(overslept_s)
+                    remaining_s = self._check_alive(overslept_s)
                 except DeviceLostError:
                     self._recording = None
                     raise
-                due_s = self._clock.now_s() + left_s
-                self._changed.wait(left_s)
+                due_s = self._clock.now_s() + remaining_s
+                self._changed.wait(remaining_s)
                 overslept_s += max(0.0, self._clock.now_s() - due_s - _WAKING_S)
         return None
 

@@ -21,6 +21,6 @@ class RealClock:
 
 def sleep_until(t_s: float) -> None:
     """Wait until a moment on the real clock; not at all if it has passed."""
-    left_s = t_s - time.monotonic()
-    if left_s > 0.0:
-        time.sleep(left_s)
+    remaining_s = t_s - time.monotonic()
+    if remaining_s > 0.0:
+        time.sleep(remaining_s)

@@ -1,7 +1,7 @@
 """Industrial cameras (GigE Vision, USB3 Vision) through GenICam: the extra `genicam`.
 
-The camera's maker gives a GenTL producer, a file `*.cti`; harvesters loads it.  The camera's own
-count of pictures (block or frame id) finds gaps, its own clock stamps them where it has one.
+The camera's maker supplies a GenTL producer, a file `*.cti`; harvesters loads it.  The camera's
+count of pictures (block or frame id) reveals gaps; its clock, if any, provides the timestamps.
 
 source  EMVA, GenICam Standard Features Naming Convention (SFNC) 2.7; GenTL 1.6
 """
@@ -32,8 +32,8 @@ class GenicamOptions:
     """Choice and settings of a camera; every value is read back.
 
     producer       the maker's GenTL producer, *.cti
-    serial_number  None = the only camera there is
-    exposure_s     None = as it is
+    serial_number  None = the only camera
+    exposure_s     None = unchanged
     """
 
     producer: FilePath
@@ -57,7 +57,7 @@ class GenicamCamera(StreamingCamera):
 
 
 class _GenicamSource:
-    """An acquiring camera that is set up as asked."""
+    """An acquiring camera with the requested settings."""
 
     def __init__(self, options: GenicamOptions, device: str) -> None:
         self._options = options
@@ -76,8 +76,8 @@ class _GenicamSource:
             raise
 
     def grab(self, wanted: Callable[[], bool]) -> Shot | None:
-        """Raises DeviceLostError, CameraError.  An incomplete picture is left out: its number is
-        missed by the next.
+        """Raises DeviceLostError, CameraError.  An incomplete picture is skipped: the next
+        number then shows the gap.
         """
         try:
             buffer = self._acquirer.try_fetch(timeout=_FETCH_S)
@@ -96,7 +96,7 @@ class _GenicamSource:
             ) from error
 
     def close(self) -> None:
-        """Stop and release, in the reverse order of opening, whatever a lost camera says."""
+        """Stop and release, in the reverse order of opening, ignoring errors of a lost camera."""
         while self._closers:
             closer = self._closers.pop()
             with contextlib.suppress(Exception):
@@ -126,16 +126,16 @@ class _GenicamSource:
         try:
             harvester.add_file(str(options.producer), check_validity=True)
             harvester.update()
-            found = [str(info.serial_number) for info in harvester.device_info_list]
+            serials = [str(info.serial_number) for info in harvester.device_info_list]
             wanted = options.serial_number
-            if len(found) != 1 if wanted is None else found.count(wanted) != 1:
+            if len(serials) != 1 if wanted is None else serials.count(wanted) != 1:
                 raise ConnectError(
                     self._device,
-                    f"{options.producer.name} finds the cameras {', '.join(found) or 'none'}, "
+                    f"{options.producer.name} finds the cameras {', '.join(serials) or 'none'}, "
                     f"wanted is {wanted or 'the only one'}",
                     "check cable, power and network address, and give its serial number",
                 )
-            acquirer = harvester.create(0 if wanted is None else found.index(wanted))
+            acquirer = harvester.create(0 if wanted is None else serials.index(wanted))
         except ConnectError:
             raise
         except Exception as error:
@@ -148,7 +148,7 @@ class _GenicamSource:
         return acquirer
 
     def _set_up(self, nodes: Any) -> float:
-        """Set everything, read it back; the frame rate, Hz.  Raises ConnectError."""
+        """Set all features, read them back; the frame rate, Hz.  Raises ConnectError."""
         options = self._options
         self._set(nodes, "PixelFormat", _PIXELS)
         self._set(nodes, "Width", options.width_px)
@@ -165,28 +165,28 @@ class _GenicamSource:
         return float(self._set(nodes, "AcquisitionFrameRate", options.frame_rate_hz))
 
     def _set(self, nodes: Any, name: str, value: Any) -> Any:
-        """Set a feature; what the camera then has.  Raises ConnectError."""
+        """Set a feature; returns the actual value.  Raises ConnectError."""
         why = ""
         try:
             getattr(nodes, name).value = value
         except Exception as error:
             why = f": {type(error).__name__}: {error}".rstrip(": ")
         try:
-            found = getattr(nodes, name).value
+            actual = getattr(nodes, name).value
         except Exception:
-            found = None
-        if isinstance(value, float) and isinstance(found, int | float):
-            kept = abs(found - value) <= self._options.setting_tolerance * value
+            actual = None
+        if isinstance(value, float) and isinstance(actual, int | float):
+            accepted = abs(actual - value) <= self._options.setting_tolerance * value
         else:
-            kept = found == value
-        if not kept:
-            has = "has no such feature" if found is None else f"has {found}"
+            accepted = actual == value
+        if not accepted:
+            has = "has no such feature" if actual is None else f"has {actual}"
             raise ConnectError(
                 self._device,
                 f"{name} = {value} refused, the camera {has}{why}",
                 "ask for what the camera can do",
             )
-        return found
+        return actual
 
     # --- pictures -----------------------------------------------------------------------------
 
@@ -199,22 +199,22 @@ class _GenicamSource:
 
     def _image(self, component: Any) -> Image:
         shape = (self._options.height_px, self._options.width_px)
-        found = (int(component.height), int(component.width))
-        if found != shape or component.data_format != _PIXELS:
+        actual = (int(component.height), int(component.width))
+        if actual != shape or component.data_format != _PIXELS:
             raise CameraError(
                 self._device,
-                f"a {component.data_format} picture of shape {found} came, {_PIXELS} of {shape} "
+                f"a {component.data_format} picture of shape {actual} came, {_PIXELS} of {shape} "
                 "expected",
                 "connect again",
             )
-        # the buffer goes back to the camera: what is kept must be a copy
+        # a copy, as the buffer goes back to the camera
         image: Image = np.array(component.data, dtype=np.uint8).reshape(shape)
         return image
 
 
 def _stamp_s(buffer: Any) -> float | None:
     """The camera's own time of a picture, or None if it has none."""
-    with contextlib.suppress(Exception):  # what is missing is said in three ways
+    with contextlib.suppress(Exception):  # a missing stamp shows in three ways
         ticks, per_second = buffer.timestamp, buffer.timestamp_frequency
         if ticks > 0:
             return float(ticks) / float(per_second)

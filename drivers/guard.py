@@ -1,6 +1,6 @@
 """Limits around an arm, a gripper and a camera, real and simulated alike.
 
-A guard has the shape of what it guards, and asks it nothing that it need not know.  It guards
+A guard has the interface of its device, and requests only necessary data from it.  It guards
 the cable and the tooling from mistakes of the program; it is not a safety function.
 """
 
@@ -34,7 +34,7 @@ _LOG = logging.getLogger(__name__)
 _NOTHING_MOVED = "nothing was moved"
 
 #: Shortest time over which speed, acceleration and jerk of a sampled path are judged: below it,
-#: rounding of its times would be taken for jerk.
+#: rounding of its times would count as jerk.
 _SPAN_S = 0.008
 
 #: Share of a limit that finite differences may exceed it by, if the sampled motion itself keeps it.
@@ -105,7 +105,7 @@ class GuardedArm(ArmAround):
         remedy = "its path is followed as it was"
         check_path(path, self._limits, self.name, remedy)
         until_s = from_s - start_s + float(present.t_s[0])
-        # both are linear between their points, so that nothing else is left to be compared
+        # both are linear between their points: no other times need a comparison
         points_s = np.union1d(present.t_s, path.t_s)
         t_s = np.append(points_s[points_s < until_s], until_s)
         for name in ("x_m", "y_m", "angle_rad"):

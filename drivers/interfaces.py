@@ -1,7 +1,7 @@
 """Interfaces of the devices: Arm, Camera, Gripper, Clock, their data and their errors.
 
-Everything a device says is in the cell's plane and on the cell's clock: x right, y up, metres,
-radians, seconds.  The drivers own the mapping from there to their robot's or camera's own frames.
+All data of a device are in the cell's plane and on the cell's clock: x right, y up, metres,
+radians, seconds.  The drivers map them to the frames of their robot or camera.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ class Pose:
 class Trajectory:
     """Poses against time, from `t_s[0] = 0`; every array has shape (T,), T ≥ 2.
 
-    Used both for what an arm is told to follow and, with times on the cell's clock, for what it
-    reports to have done.
+    Used for commanded paths and, with times on the cell's clock, for measured poses.
     """
 
     t_s: FloatArray
@@ -61,12 +60,12 @@ class ArmMode(StrEnum):
     EMERGENCY_STOP = "emergency_stop"
     POWER_OFF = "power_off"  # or its brakes are on
     LOCAL_CONTROL = "local_control"
-    REDUCED_SPEED = "reduced_speed"  # it would not do what it is told when it is told
+    REDUCED_SPEED = "reduced_speed"  # it would not follow commands in time
     LOST = "lost"
 
     @property
     def remedy(self) -> str:
-        """What a person does so that it becomes ready."""
+        """Instruction to a person to make it ready."""
         return _REMEDIES[self]
 
 
@@ -118,11 +117,11 @@ class GripperState:
 
 
 class DeviceError(Exception):
-    """A device did not do what it was asked: which one, why, and what a person can do about it.
+    """A device failed to carry out a command: its name, the cause, and the remedy for a person.
 
-    Scenario: any of the below; catch this one to stop the cell whatever the device.
+    Scenario: any of the errors below; catch this one to stop the cell for every device.
 
-    code  the kind of error in a word, for statistics
+    code  kind of the error as a word, for statistics
     """
 
     code = "device"
@@ -188,7 +187,7 @@ def nothing_to_revise(device: str) -> LimitError:
 class StoppedError(DeviceError):
     """The device is stopped and must be reset by a person.  Scenario: protective stop.
 
-    mode  what stopped it: the code tells a slider that was slowed from a protective stop
+    mode  cause of the stop; the code distinguishes a slowed speed slider from a protective stop
     """
 
     def __init__(
@@ -257,17 +256,17 @@ class Arm(Protocol):
     def check(self, path: Trajectory) -> None:
         """Whether `path` may be followed, once the arm is where it begins; nothing is sent.
 
-        Raises LimitError naming what it would break; DeviceLostError.
+        Raises LimitError with the violated limit; DeviceLostError.
         """
         ...
 
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
         """Start to follow `path` (its first pose is the present one) and return at once.
 
-        The times of `path` count from `start_s` on the cell's clock, None = now.  What has to be
-        checked before takes its time, so an arm that is to start at a certain moment is told
-        before.  Raises LimitError (outside the limits, still moving on another path, or the start
-        has gone by; nothing was sent), StoppedError, DeviceLostError.
+        The times of `path` count from `start_s` on the cell's clock, None = now.  The checks
+        before it take time, so a command for a certain start must come earlier.  Raises LimitError
+        (outside the limits, still moving on another path, or the start has gone by; nothing was
+        sent), StoppedError, DeviceLostError.
         """
         ...
 
@@ -318,9 +317,9 @@ class Camera(Protocol):
         ...
 
     def check(self) -> None:
-        """Whether pictures could be had now; from any thread.
+        """Check that pictures arrive; from any thread.
 
-        Raises DeviceLostError; CameraError (one of the recording under way is missing or unusable).
+        Raises DeviceLostError; CameraError (a picture of the recording is missing or unusable).
         """
         ...
 

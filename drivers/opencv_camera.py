@@ -1,8 +1,8 @@
 """Cameras that OpenCV reads: UVC through Video4Linux, or a stream through FFmpeg.
 
-Video4Linux stamps a picture when its transfer begins or ends (the driver's choice), FFmpeg hands
-on the stamps of the stream.  Their origin is found anew at every `connect`; what remains, the
-latency, is an option of the capture, measured by calibration.
+Video4Linux stamps a picture when its transfer begins or ends (the driver's choice), FFmpeg
+forwards the stamps of the stream.  Their origin is estimated at every `connect`; the remaining
+offset, the latency, is an option of the capture, measured by calibration.
 
 source  OpenCV, videoio flags; Linux, V4L2_CID_EXPOSURE_AUTO (1 = manual) and
         V4L2_CID_EXPOSURE_ABSOLUTE (units of 100 µs)
@@ -32,10 +32,10 @@ class OpenCvOptions:
     """Choice and settings of a camera.
 
     device         number or path of a Video4Linux device, or the URL of a stream
-    frame_rate_hz  asked for and read back; likewise width_px and height_px
-    exposure_s     manual exposure, set and read back; None = as it is (a stream has no exposure)
-    fourcc         pixel format, e.g. GREY, YUYV, MJPG; None = as it is.  GREY and YUYV are exact
-    stamps         whose time stamps: those of the `device`, or the `arrival` of the pictures,
+    frame_rate_hz  requested and read back; likewise width_px and height_px
+    exposure_s     manual exposure, set and read back; None = unchanged (a stream has none)
+    fourcc         pixel format, e.g. GREY, YUYV, MJPG; None = unchanged.  GREY and YUYV are exact
+    stamps         source of timestamps: the `device`, or the `arrival` of the pictures,
                    which carries the jitter of this computer and hides a missing picture
     """
 
@@ -68,7 +68,7 @@ class OpenCvCamera(StreamingCamera):
 
 
 class _OpenCvSource:
-    """An open VideoCapture that is set up as asked."""
+    """An open VideoCapture with the requested settings."""
 
     def __init__(self, options: OpenCvOptions, device: str) -> None:
         self._options = options
@@ -83,7 +83,7 @@ class _OpenCvSource:
 
     def grab(self, wanted: Callable[[], bool]) -> Shot:
         """Raises DeviceLostError: the stream ended; CameraError: a picture of another kind."""
-        # together is quicker while other threads compute: each call waits for the interpreter
+        # one call is faster while other threads compute: each call waits for the interpreter
         came, picture = self._capture.read() if wanted() else (self._capture.grab(), None)
         if not came:
             raise DeviceLostError(
@@ -105,15 +105,15 @@ class _OpenCvSource:
     # --- setting up ---------------------------------------------------------------------------
 
     def _set_up(self) -> float:
-        """Set everything, read it back; the frame rate, Hz.  Raises ConnectError."""
+        """Set all properties, read them back; the frame rate, Hz.  Raises ConnectError."""
         options, capture = self._options, self._capture
         if options.fourcc is not None:
             code = cv2.VideoWriter.fourcc(*options.fourcc)
             capture.set(cv2.CAP_PROP_FOURCC, code)
-            found = int(capture.get(cv2.CAP_PROP_FOURCC))
-            if found != code:
-                said = found.to_bytes(4, "little", signed=False).decode("latin-1")
-                raise self._refused("fourcc", options.fourcc, repr(said))
+            actual = int(capture.get(cv2.CAP_PROP_FOURCC))
+            if actual != code:
+                text = actual.to_bytes(4, "little", signed=False).decode("latin-1")
+                raise self._refused("fourcc", options.fourcc, repr(text))
         for name, key, value in (
             ("width_px", cv2.CAP_PROP_FRAME_WIDTH, float(options.width_px)),
             ("height_px", cv2.CAP_PROP_FRAME_HEIGHT, float(options.height_px)),
@@ -126,28 +126,28 @@ class _OpenCvSource:
         # the rate last: it may depend on all the others
         rate_hz = options.frame_rate_hz
         rate_hz = self._set("frame_rate_hz", cv2.CAP_PROP_FPS, rate_hz, rate_hz)
-        self._take_grey_as_it_is()
+        self._skip_colour_conversion()
         return rate_hz
 
     def _set(
-        self, name: str, key: int, value: float, asked: float, tolerance: float | None = None
+        self, name: str, key: int, value: float, requested: float, tolerance: float | None = None
     ) -> float:
-        """Set a property; what the camera then has, in units of `asked`.  Raises ConnectError."""
+        """Set a property; the actual value, in units of `requested`.  Raises ConnectError."""
         tolerance = self._options.setting_tolerance if tolerance is None else tolerance
         if self._capture.get(key) != value:
             self._capture.set(key, value)
-        found = float(self._capture.get(key)) * asked / value
-        if not abs(found - asked) <= tolerance * asked:
-            raise self._refused(name, f"{asked:g}", f"{found:g}")
-        return found
+        actual = float(self._capture.get(key)) * requested / value
+        if not abs(actual - requested) <= tolerance * requested:
+            raise self._refused(name, f"{requested:g}", f"{actual:g}")
+        return actual
 
-    def _refused(self, name: str, asked: str, found: str) -> ConnectError:
+    def _refused(self, name: str, requested: str, actual: str) -> ConnectError:
         return ConnectError(
-            self._device, f"{name} = {asked} refused, the camera has {found}", _SETTINGS_REMEDY
+            self._device, f"{name} = {requested} refused, the camera has {actual}", _SETTINGS_REMEDY
         )
 
-    def _take_grey_as_it_is(self) -> None:
-        """Ask for pictures without conversion to colour, if the camera's own hold their grey."""
+    def _skip_colour_conversion(self) -> None:
+        """Request pictures without colour conversion, if the camera's own contain the grey."""
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
         self.grab(lambda: False)
         came, picture = self._capture.retrieve()
@@ -188,7 +188,7 @@ class _OpenCvSource:
 
 def _open(options: OpenCvOptions, device: str) -> cv2.VideoCapture:
     if options.is_stream:
-        # what a stream is must be told by its first bytes, and one thread adds no delay
+        # the first bytes must identify the stream's format; one thread adds no delay
         settings = {
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC: int(options.capture.connect_s * 1e3),
             cv2.CAP_PROP_READ_TIMEOUT_MSEC: _STREAM_SILENCE_MS,

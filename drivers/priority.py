@@ -18,7 +18,7 @@ _SESSION = Path("/proc/self/autogroup")
 def run_in_real_time(priority: int = 20) -> bool:
     """Schedule this process and its later threads in real time (SCHED_FIFO).
 
-    What is imported by now is kept for good: to look through it would take the garbage collector
+    Objects imported by now are never freed: to scan them would take the garbage collector
     ten milliseconds now and then.
     returns  False where the system has no such thing or this user may not ask for it (a limit
              `rtprio` of at least `priority` allows it); the process then runs as before
@@ -88,7 +88,7 @@ class Pollers:
     it may wait for them without sleeping.
 
     threads  numbers as of `own_threads`
-    slack_s  by how much later than asked they may wake up while their user sleeps, s
+    slack_s  largest delay of their wake-ups while their user sleeps, s
     Nothing is changed where the calling thread is not in real time, or may not change others.
     """
 
@@ -101,7 +101,7 @@ class Pollers:
             self._ordinary, self._slack_ns = os.sched_param(0), str(round(slack_s * 1e9)).encode()
             for thread in threads:
                 os.setpriority(os.PRIO_PROCESS, thread, _BEFORE_ORDINARY_ONES)
-            # Linux forgets a thread's slack in real time, so it is told each time
+            # Linux drops the slack of a real-time thread, so it is set each time
             self._threads = {t: os.open(f"/proc/{t}/timerslack_ns", os.O_WRONLY) for t in threads}
 
     def eased(self) -> Pollers:

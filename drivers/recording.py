@@ -1,4 +1,4 @@
-"""Checks each picture of a recording as it arrives, and refuses what is wrong.
+"""Checks each picture of a recording as it arrives, and refuses faulty ones.
 
 Every picture is checked when it comes: none is missing, repeated, late, of another size or one
 too many to be kept.
@@ -21,7 +21,7 @@ _MISSING_REMEDY = "check cable and load, or lower the frame rate, then record ag
 class Shot:
     """One picture as a source gives it, with its stamp and number.
 
-    image    (H, W) grey levels; None = not asked for
+    image    (H, W) grey levels; None = not requested
     stamp_s  the camera's own time of the exposure, from any origin; None = it has none
     number   the camera's own count; None = it has none
     """
@@ -38,12 +38,12 @@ class CaptureOptions:
     latency_s           from the middle of an exposure to the arrival of its picture, at best:
                         exposure, readout and transport.  Measured by calibration each session,
                         for no camera tells; a wrong value shifts all times of a session alike
-    connect_s           longest time until pictures come at the rate asked for
+    connect_s           longest time until pictures come at the requested rate
     lost_after_s        the camera is lost when no picture came for so long, or for three periods
                         if those last longer
     rate_tolerance      allowed departure of the measured from the camera's own frame rate
     buffer_frames       pictures that may wait to be read
-    settle_frames       pictures over which the rate is measured, and the stamps' origin found
+    settle_frames       pictures over which rate and origin of the stamps are measured
     late_s              longest time that a picture may come later than the quickest ones do
     """
 
@@ -103,7 +103,7 @@ class FrameSequence:
         self._device = device
         self._count = frame_count
         self._start_s = start_s
-        self._origin_s = origin_s  # what is added to a stamp to have the time of its arrival
+        self._origin_s = origin_s  # arrival time minus stamp
         self._period_s = 1.0 / rate_hz
         self._options = options
         self._taken = 0
@@ -113,20 +113,20 @@ class FrameSequence:
 
     @property
     def complete(self) -> bool:
-        """Whether no more pictures are to be taken."""
+        """Whether no more pictures are expected."""
         return self.error is not None or self._taken == self._count
 
-    def take(self, taken: ArrivedShot) -> None:
+    def take(self, arrived: ArrivedShot) -> None:
         """Add a picture, if it was exposed after the start."""
-        shot, options = taken.shot, self._options
-        reached_s = taken.arrived_s
+        shot, options = arrived.shot, self._options
+        reached_s = arrived.arrived_s
         if shot.stamp_s is not None:
             reached_s = shot.stamp_s + self._origin_s
         t_s = reached_s - options.latency_s
         if shot.image is None or t_s < self._start_s:
             return
         frame = Frame(self._taken, t_s, shot.image)
-        self.error = self._fault(frame, shot, taken.arrived_s - reached_s)
+        self.error = self._fault(frame, shot, arrived.arrived_s - reached_s)
         if self.error is not None:
             return
         if self._taken == 0:

@@ -1,6 +1,6 @@
-"""Devices that do again what a recording holds: arm, camera and gripper, on a simulated clock.
+"""Devices that replay a recording: arm, camera and gripper, on a simulated clock.
 
-They know nothing of files: frames, answers and paths are given to them.
+They read no files: frames, answers and paths are arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SAME = 1e-9
 
 
 class OtherMotionError(DeviceError):
-    """The recording holds another motion.  Scenario: another model chooses another offset."""
+    """The recording has a different motion.  Scenario: a new model chooses a different offset."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class RecordedPoses:
 
 
 class ReplayArm:
-    """Arm that returns what the recorded one returned, and accepts only its filmed motions.
+    """Arm that returns the recorded answers, and accepts only the filmed motions.
 
-    logs     in the order in which they were given
-    filmed   paths that were told with a moment of their start
-    revisions  changed paths that the recorded arm took
+    logs       answers of the recorded arm, in their order
+    filmed     paths that were commanded with a start time
+    revisions  changed paths that the recorded arm accepted
     """
 
     name = "arm"
@@ -91,16 +91,16 @@ class ReplayArm:
         """Nothing is connected."""
 
     def state(self) -> ArmState:
-        """On the path that it was told, and at rest once the recorded arm has settled."""
+        """State on the commanded path; at rest once the recorded arm has settled."""
         now_s = self._clock.now_s()
         moving = now_s < self._path.t_s[-1] + SETTLING_LAGS * self._lag_s
         return ArmState(now_s, self._path.at(now_s), 0.0, moving, self._mode)
 
     def check(self, path: Trajectory) -> None:
-        """Whatever the cell's own limits allow."""
+        """Accept every path: the guard has checked the limits."""
 
     def follow(self, path: Trajectory, start_s: float | None = None) -> None:
-        """Raises OtherMotionError: the recording holds another motion than this filmed one."""
+        """Raises OtherMotionError: the recording has no film of this motion."""
         if start_s is not None and not any(_same(path, filmed) for filmed in self._filmed):
             raise OtherMotionError(
                 self.name,
@@ -113,21 +113,21 @@ class ReplayArm:
         )
 
     def revise(self, path: Trajectory, from_s: float) -> None:
-        """Raises TooLateError: the recorded arm took no such change; it may have come too late."""
+        """Raises TooLateError: the recorded arm accepted no such change, perhaps as too late."""
         if not any(_same(path, revision) for revision in self._revisions):
             raise revised_too_late(self.name, self._clock.now_s() - from_s)
         self._path = replace(path, t_s=path.t_s - path.t_s[0] + self._path.t_s[0])
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
-        """The recorded answer to this question; else its own path.
+        """The recorded answer to this request; else samples of the present path.
 
-        Poses until a frame have the same end.  Those until now ended later in the recording,
-        because computing and waiting take no time here: the next later answer is theirs.
+        Requests until a frame have the same end.  Requests until now ended later in the recording,
+        because computing and waiting take no time here: the next later answer is returned.
         """
-        alike = [a for a in self._answers if a.start_s == start_s]
-        if alike:
-            later = [a for a in alike if a.end_s >= end_s]
-            return (min(later, key=_end_s) if later else max(alike, key=_end_s)).poses
+        matches = [a for a in self._answers if a.start_s == start_s]
+        if matches:
+            later = [a for a in matches if a.end_s >= end_s]
+            return (min(later, key=_end_s) if later else max(matches, key=_end_s)).poses
         grid = np.arange(np.ceil(start_s * self._rate_hz), np.floor(end_s * self._rate_hz) + 1)
         t_s = grid / self._rate_hz
         path = self._path
@@ -156,7 +156,7 @@ class FilmedArm(ReplayArm):
         self._hand = gripper_log
 
     def log(self, start_s: float, end_s: float) -> Trajectory:
-        """Those of the known poses that were measured in this time, and the next on either side."""
+        """Known poses of this time, and the next one on either side."""
         t_s = self._hand.t_s
         first = max(0, int(np.searchsorted(t_s, start_s, "right")) - 1)
         last = min(len(t_s), int(np.searchsorted(t_s, end_s)) + 1)
@@ -166,7 +166,7 @@ class FilmedArm(ReplayArm):
 
 
 class ReplayCamera:
-    """A camera that gives the recorded frames, each film in its turn."""
+    """A camera that returns the recorded frames, film by film."""
 
     name = "camera"
 
@@ -175,7 +175,7 @@ class ReplayCamera:
         self._frame_rate_hz = frame_rate_hz
         self._frames = iter(frames)
         self._next: Frame | None = None
-        self._left = 0
+        self._due = 0
         self._begun = False
 
     @property
@@ -193,41 +193,41 @@ class ReplayCamera:
         """Recordings do not get lost."""
 
     def start(self, frame_count: int) -> None:
-        """Go on to the next film."""
+        """Advance to the next film."""
         self.stop()
-        self._left, self._begun = frame_count, False
+        self._due, self._begun = frame_count, False
 
     def read(self) -> Frame | None:
         """Raises CameraError: the recording has no more frames of this film."""
-        if self._left == 0:
+        if self._due == 0:
             return None
         frame = self._next if self._next is not None else next(self._frames, None)
         self._next = None
         if frame is None:
             raise CameraError(
-                self.name, f"the recording ends {self._left} frames before its film", "see its gaps"
+                self.name, f"the recording ends {self._due} frames before its film", "see its gaps"
             )
         if frame.index == 0 and self._begun:
-            self._next, left, self._left = frame, self._left, 0
+            self._next, missing, self._due = frame, self._due, 0
             raise CameraError(
                 self.name,
-                f"this film was ended {left} frames earlier than is asked for",
+                f"this film was ended {missing} frames earlier than is asked for",
                 "replay it with the motion.hold that it was made with",
             )
         self._begun = True
-        self._left -= 1
+        self._due -= 1
         self._clock.forward_to_s(frame.t_s)
         return frame
 
     def stop(self) -> None:
-        """Leave out what is left of this film."""
-        while self._left:
+        """Skip the remaining frames of this film."""
+        while self._due:
             frame = next(self._frames, None)
             if frame is None or frame.index == 0:
                 self._next = frame
                 break
-            self._left -= 1
-        self._left = 0
+            self._due -= 1
+        self._due = 0
 
 
 class ReplayGripper:

@@ -90,7 +90,7 @@ class RtdeClient:
             raise RtdeError("the controller does not start to report")
 
     def pause(self) -> None:
-        """Have no more reported; what is claimed stays so.  Raises OSError."""
+        """Stop the reports; claims stay.  Raises OSError."""
         if self._request(PackageType.PAUSE) != b"\x01":
             raise RtdeError("the controller does not cease to report")
         self._waiting.clear()
@@ -100,10 +100,10 @@ class RtdeClient:
         due_s = time.monotonic() + seconds
         self._receive(0.0)
         while not any(p.kind == PackageType.DATA for p in self._waiting):
-            left_s = due_s - time.monotonic()
-            if left_s <= 0.0:
+            remaining_s = due_s - time.monotonic()
+            if remaining_s <= 0.0:
                 raise RtdeError(f"the controller reports nothing for {seconds:.2f} s")
-            self._receive(left_s)
+            self._receive(remaining_s)
         payload = [p.payload for p in self._waiting if p.kind == PackageType.DATA][-1]
         self._waiting.clear()
         assert self._output is not None, "report() comes first"
@@ -128,13 +128,13 @@ class RtdeClient:
                 if packet.kind == kind:
                     self._waiting.remove(packet)
                     return packet.payload
-            left_s = due_s - time.monotonic()
-            if left_s <= 0.0:
+            remaining_s = due_s - time.monotonic()
+            if remaining_s <= 0.0:
                 raise RtdeError(f"no answer to {kind.name.lower()} within {self._seconds:.1f} s")
-            self._receive(left_s)
+            self._receive(remaining_s)
 
     def _receive(self, seconds: float) -> None:
-        """Take what has come, or what comes first within a time."""
+        """Process received packets, or the first one within a time."""
         self._socket.settimeout(seconds)
         with contextlib.suppress(BlockingIOError, TimeoutError):
             data = self._socket.recv(65536)

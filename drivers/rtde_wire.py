@@ -143,7 +143,7 @@ class Recipe:
     types: tuple[str, ...]
 
     @cached_property
-    def _whole(self) -> struct.Struct:
+    def _full_format(self) -> struct.Struct:
         return struct.Struct(">B" + "".join(TYPES[t][0] for t in self.types))
 
     def encoded(self, values: Iterable[Value]) -> bytes:
@@ -151,15 +151,15 @@ class Recipe:
         flat: list[float | int] = [self.number]
         for value, kind in zip(values, self.types, strict=True):
             if TYPES[kind][1] == 1:
-                flat.append(value)  # type: ignore[arg-type]  # the type's name says it is one number
+                flat.append(value)  # type: ignore[arg-type]  # by its type it is one number
             else:
                 flat.extend(value)  # type: ignore[arg-type]
-        return self._whole.pack(*flat)
+        return self._full_format.pack(*flat)
 
     def decoded(self, payload: bytes) -> dict[str, Value]:
-        """Values by name; ur-rtde sends some packets short, then only what is whole is there."""
-        if len(payload) == self._whole.size:
-            flat = self._whole.unpack(payload)
+        """Values by name; ur-rtde truncates some packets: they have their complete values only."""
+        if len(payload) == self._full_format.size:
+            flat = self._full_format.unpack(payload)
             return {name: flat[place] for name, place in self._places}
         values: dict[str, Value] = {}
         offset = 1
@@ -175,7 +175,7 @@ class Recipe:
 
     @cached_property
     def _places(self) -> tuple[tuple[str, int | slice], ...]:
-        """Where each variable is among the numbers of a whole packet."""
+        """Position of each variable among the numbers of a complete packet."""
         places: list[tuple[str, int | slice]] = []
         begin = 1
         for name, kind in zip(self.names, self.types, strict=True):

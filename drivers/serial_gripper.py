@@ -27,11 +27,11 @@ _LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then co
 
 @dataclass(frozen=True)
 class SerialGripperOptions(RobotiqOptions):
-    """How the gripper is reached, and what it does.
+    """Connection and motion of the gripper.
 
     port      device of the line, or a URL that pyserial knows: socket://host:port
     reply_s   time that an answer may take
-    attempts  how often a question is asked before the gripper counts as lost
+    attempts  number of requests before the gripper counts as lost
     """
 
     port: str

@@ -177,12 +177,12 @@ class UrArm:
             if start_s is not None and start_s < now_s:
                 raise too_late(self.name, now_s - start_s)
             self._paths += 1
-            taken = shared.get(Slot.FOLLOWED)
+            accepted = shared.get(Slot.FOLLOWED)
             self._send(child, ("follow", begun, stops, start_s))
             while shared.get(Slot.PATHS) != self._paths:  # at the child's next period
                 self._alive()
                 time.sleep(_POLL_S)
-            if shared.get(Slot.FOLLOWED) > taken:
+            if shared.get(Slot.FOLLOWED) > accepted:
                 return
             self._check_ready(child)
             if start_s is None:
@@ -203,12 +203,12 @@ class UrArm:
             self._check_reach(begun, sample[SharedColumn.Q1_RAD :])
             if from_s < time.monotonic():
                 raise revised_too_late(self.name, time.monotonic() - from_s)
-            told, taken = shared.get(Slot.REVISIONS), shared.get(Slot.REVISED)
+            commanded, accepted = shared.get(Slot.REVISIONS), shared.get(Slot.REVISED)
             self._send(child, ("revise", begun, stops, float(from_s)))
-            while shared.get(Slot.REVISIONS) == told:  # at the child's next period
+            while shared.get(Slot.REVISIONS) == commanded:  # at the child's next period
                 self._alive()
                 time.sleep(_POLL_S)
-            if shared.get(Slot.REVISED) > taken:
+            if shared.get(Slot.REVISED) > accepted:
                 return
             self._check_ready(child)
             if not self._busy(child):

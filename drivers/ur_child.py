@@ -40,7 +40,7 @@ _PHASE, _SLEW = 0.4, 0.01
 class ControllerClock:
     """Estimates the phase of the controller's cycles from the arrival of its states.
 
-    A command that comes while the controller looks for one is taken now in this cycle, now in the
+    A command that comes while the controller looks for one is taken at random in this cycle or the
     next; so commands are sent in between, however the two clocks drift.
 
     period_s  of the controller's cycle, s
@@ -63,12 +63,12 @@ class ControllerClock:
 
     def state_before(self, deadline_s: float) -> float:
         """A time on the controller's clock between the stamp of the state that is expected before
-        a deadline and the one before that; −inf until any was seen.
+        a deadline and the one before that; −inf before the first state.
         """
         return deadline_s - self.lead_s - self._offset_s - 0.5 * self._period_s
 
     def observe(self, robot_s: float, now_s: float) -> float:
-        """Time on the cell's clock of a state that came now: by the least delay seen so far."""
+        """Time on the cell's clock of a state that came now: by the least delay so far."""
         drift_s = _DRIFT * (robot_s - self._robot_s)
         self._offset_s = min(self._offset_s + drift_s, now_s - robot_s)
         self._robot_s = robot_s
@@ -88,8 +88,8 @@ class ControllerClock:
 MODES = tuple(ArmMode)
 
 _SETTLING = 8.0  # lookaheads after the end of a path until the arm rests
-_CLOCKS_S = 0.1  # time in which the offset between two clocks is first found
-_EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and between two looks for it
+_CLOCKS_S = 0.1  # time of the first estimate of the clocks' offset
+_EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and polling interval
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
 
@@ -132,21 +132,21 @@ class _Child:
         self._last_t_s = -np.inf
         self._period_s = options.robot.period_s
         self._robot = Robot(options.robot, _hurry)
-        self._began_s = self._looked_s = time.monotonic()
+        self._began_s = self._measured_s = time.monotonic()
 
     def run(self) -> None:
-        """Cycle until told to close.  Raises _LostError; EOFError: the parent has gone."""
+        """Cycle until `close` is requested.  Raises _LostError; EOFError: the parent has gone."""
         self._look_at_mode()
         bound_spinning(_CYCLING_S)
         due_s = time.monotonic()
-        while self._obey():
+        while self._serve_requests():
             self._await_state(due_s)
             now_s = time.monotonic()
             self._shared.put(Slot.HEARTBEAT_S, now_s)
             self._measure(now_s)
             self._look_at_mode()
             self._robot.rest_until(due_s)
-            self._obey_stop()
+            self._check_stop()
             if self._motion is not None:
                 self._stream(self._motion, time.monotonic())
             elif self._mode in (ArmMode.READY, ArmMode.REDUCED_SPEED):
@@ -156,7 +156,7 @@ class _Child:
         self.rest()
 
     def _await_state(self, due_s: float) -> None:
-        """Until the controller's next state has come, so that its arrival is known; or the time."""
+        """Wait for the controller's next state, to know its arrival time, until `due_s` at most."""
         learns = time.monotonic() < self._began_s + _CLOCKS_S
         early_s = self._period_s if learns else self._clock.lead_s + _EARLY_S
         self._robot.rest_until(due_s - early_s)
@@ -173,15 +173,15 @@ class _Child:
 
     def _measure(self, now_s: float) -> None:
         robot = self._robot.receive
-        # looked at before anything is sent: ur-rtde hangs in a call without connection
+        # checked before anything is sent: ur-rtde hangs in a call without connection
         if not (robot.isConnected() and self._robot.control.isConnected()):
             raise _LostError("the connection dropped")
         if self._robot.unknown:
             raise _LostError(self._robot.unknown)
         robot_s = robot.getTimestamp()
         # time in which this process was not run is not the controller's silence
-        self._silent_s += min(now_s - self._looked_s, 2.0 * self._period_s)
-        self._looked_s = now_s
+        self._silent_s += min(now_s - self._measured_s, 2.0 * self._period_s)
+        self._measured_s = now_s
         if robot_s == self._clock.robot_s:
             if self._silent_s > self._options.stale_s:
                 raise _LostError(
@@ -194,7 +194,7 @@ class _Child:
             return
         self._last_t_s = t_s
         speed = math.hypot(*robot.getActualTCPSpeed()[:3])
-        # where in the cell's plane that is, the parent works out when it is asked
+        # the parent maps it to the cell's plane on request
         self._shared.write_sample([t_s, *robot.getActualTCPPose(), speed, *robot.getActualQ()])
 
     def _look_at_mode(self) -> None:
@@ -215,7 +215,7 @@ class _Child:
         self._mode = mode
         self._shared.put(Slot.MODE, MODES.index(mode))
 
-    def _obey_stop(self) -> None:
+    def _check_stop(self) -> None:
         stops = self._shared.get(Slot.STOPS)
         if stops != self._stops:
             self._stops = stops
@@ -249,7 +249,7 @@ class _Child:
 
     # --- requests -----------------------------------------------------------------------------
 
-    def _obey(self) -> bool:
+    def _serve_requests(self) -> bool:
         """Act on the parent's requests; False when it wants to close."""
         while self._requests.poll(0):
             request = self._connection.recv()
@@ -295,7 +295,7 @@ class _Child:
         self._look_at_mode()
 
     def _answer(self, act: Callable[[], None]) -> None:
-        """Do something that takes its time, and tell how it went."""
+        """Do a long action, and send its result."""
         self._shared.put(Slot.HEARTBEAT_S, np.nan)
         bound_spinning(_SETTING_UP_S)
         try:

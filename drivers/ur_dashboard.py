@@ -16,7 +16,7 @@ class Dashboard:
     """A connection to the dashboard server of a controller.
 
     seconds  that connecting or an answer may take
-    raises   OSError: nobody is there, or it does not answer
+    raises   OSError: it does not exist or answer
     """
 
     def __init__(self, host: str, seconds: float = 2.0) -> None:
@@ -35,7 +35,7 @@ class Dashboard:
         return self._line()
 
     def close(self) -> None:
-        """Give the connection up."""
+        """Close the connection."""
         self._socket.close()
 
     def _line(self) -> str:
@@ -50,34 +50,34 @@ class RemoteControl:
 
     While the pendant has control a controller takes no program, but goes on with the one that runs.
 
-    given    what was answered last
-    unknown  why nobody asks any more; "" = it is asked
-    raises   OSError: the dashboard does not answer
+    is_remote  newest answer of the controller
+    unknown    why polling has ended; "" = it goes on
+    raises     OSError: the dashboard does not answer
     """
 
     def __init__(self, host: str) -> None:
-        self.given = True
+        self.is_remote = True
         self.unknown = ""
         self._host = host
-        self._asking = threading.Lock()
+        self._lock = threading.Lock()
         self._dashboard = Dashboard(host)
         self.request()
         self._thread = GuardedThread("remote control", self._watch, self._died)
 
     def begin(self) -> None:
-        """Ask from now on."""
+        """Start polling."""
         self._thread.start()
 
     def request(self) -> None:
-        """Ask now, over a new connection if the old one has broken off.  Raises OSError."""
-        with self._asking:
+        """Poll now, over a new connection if the old one is broken.  Raises OSError."""
+        with self._lock:
             try:
                 answer = self._dashboard.request("is in remote control")
             except OSError:
                 self._dashboard.close()
                 self._dashboard = Dashboard(self._host)
                 answer = self._dashboard.request("is in remote control")
-            self.given = answer != "false"
+            self.is_remote = answer != "false"
 
     def _watch(self) -> None:
         while True:

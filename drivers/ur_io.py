@@ -20,38 +20,38 @@ from drivers.threads import GuardedThread, error_text
 GROUPS = {"standard": (0, 7), "configurable": (8, 15), "tool": (16, 17)}
 
 _INPUTS, _OUTPUTS = "actual_digital_input_bits", "actual_digital_output_bits"
-#: Reported so often: a look of the handshake takes 50 ms, an arm's connection 2 ms.
+#: Rate of reports; the handshake polls every 50 ms, an arm's connection every 2 ms.
 _RATE_HZ = 50.0
-#: Connecting and an answer may take so long, s, and then it is tried again after a pause, s.
+#: Longest time to connect or to answer, and pause before a new attempt, s.
 _ANSWER_S, _AGAIN_S = 2.0, 0.5
-#: An output that is written is on or off within this, s: 25 reports.
+#: Longest time until a written output follows, s: 25 reports.
 _FOLLOWS_S = 0.5
 
 
 class UrIo:
     """Reads a controller's inputs and sets some of its outputs, in a thread, within a `with`.
 
-    A connection that is lost is made anew, again and again.  Inputs count only while the outputs
-    are as they were set.  Whoever leaves the `with` leaves the outputs as they were set last.
+    A lost connection is made again, without limit.  Inputs are valid only while the outputs are as
+    set.  The outputs stay as set last after the end of the `with`.
 
     host     address of the controller
-    outputs  numbers of the outputs that are set; the others are left alone
-    heard    told the numbers of the inputs that are on, 50 times a second
-    lost     told why nothing is known any more: again at every attempt
-    silence_s  without a report for so long the connection is lost
+    outputs    numbers of the outputs that are set; the others stay unchanged
+    on_inputs  called with the numbers of the inputs that are on, 50 times a second
+    on_loss    called with the reason of a loss, at every attempt
+    silence_s  time without a report after which the connection is lost
     """
 
     def __init__(
         self,
         host: str,
         outputs: Collection[int],
-        heard: Callable[[frozenset[int]], None],
-        lost: Callable[[str], None],
+        on_inputs: Callable[[frozenset[int]], None],
+        on_loss: Callable[[str], None],
         silence_s: float,
     ) -> None:
         self._host = host
         self._ours = frozenset(outputs)
-        self._heard, self._lost = heard, lost
+        self._on_inputs, self._on_loss = on_inputs, on_loss
         self._silence_s = silence_s
         self._wanted: frozenset[int] = frozenset()
         self._over = threading.Event()
@@ -77,14 +77,14 @@ class UrIo:
                 with RtdeClient(self._host, _ANSWER_S) as client:
                     self._serve(client)
             except OSError as error:
-                self._lost(f"{self._host}: {error}")
+                self._on_loss(f"{self._host}: {error}")
                 self._over.wait(_AGAIN_S)
 
     def _died(self, error: BaseException) -> None:
-        self._lost(f"{self._host}: {error_text(error)}; the handshake must be started again")
+        self._on_loss(f"{self._host}: {error_text(error)}; the handshake must be started again")
 
     def _serve(self, client: RtdeClient) -> None:
-        """Hear and set, until it is over and the last is set.  Raises OSError."""
+        """Read inputs and set outputs until the end, with the last ones set.  Raises OSError."""
         client.report([_INPUTS, _OUTPUTS], _RATE_HZ)
         recipe = client.claim(list(_variables(self._ours))) if self._ours else None
         client.start()
@@ -101,7 +101,7 @@ class UrIo:
             if not wrong:
                 if over:
                     return
-                self._heard(inputs)
+                self._on_inputs(inputs)
             elif time.monotonic() - written_s > _FOLLOWS_S:
                 raise RtdeError(
                     f"digital output {min(wrong)} does not follow; has the controller's "

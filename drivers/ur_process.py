@@ -34,14 +34,14 @@ class ChildProcess:
         return lines[-1].strip() if lines else "no message"
 
     def end(self) -> None:
-        """Kill what is left of it and give everything back."""
+        """Kill it if it still runs, and release all resources."""
         self.process.kill()
         self.process.wait()
         self.connection.close()
         self.errors.close()
 
     def farewell(self) -> str:
-        """Why it ended: what it said last, or how."""
+        """Why it ended: its last message, or its exit code."""
         with contextlib.suppress(EOFError, OSError):
             while self.connection.poll(0):
                 answer = self.connection.recv()

@@ -123,7 +123,7 @@ class Robot:
             return ArmMode.PROTECTIVE_STOP
         if self.receive.getRobotMode() != _RUNNING:
             return ArmMode.POWER_OFF
-        if self._pendant is not None and not self._pendant.given:
+        if self._pendant is not None and not self._pendant.is_remote:
             return ArmMode.LOCAL_CONTROL
         if not self.plays:
             return ArmMode.STOPPED
@@ -201,7 +201,7 @@ class Robot:
 
 
 def _allowed_version(options: RobotOptions) -> Version:
-    """The controller's version, which is asked before ur-rtde can hang on it."""
+    """The controller's version, read first because ur-rtde can hang on unknown ones."""
     try:
         version = identify(options.host).release
     except OSError as error:
@@ -212,7 +212,7 @@ def _allowed_version(options: RobotOptions) -> Version:
 
 
 def _pendant(host: str, version: Version) -> RemoteControl | None:
-    """Who has control; None = no dashboard tells, and what does not start says what may be why."""
+    """Remote control; None = no dashboard: a failed start then names it as a possible cause."""
     if not has_dashboard(version):
         return None
     try:

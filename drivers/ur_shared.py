@@ -1,6 +1,6 @@
 """Memory that a UR arm's two processes share: flags both ways, and a ring of measured samples.
 
-Every number is an aligned 8-byte float, written whole; each has one writer.
+Every number is an aligned 8-byte float, written atomically; each has one writer.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ import numpy as np
 
 from drivers.interfaces import FloatArray
 
-#: Samples kept: two minutes at 500 Hz.
+#: Stored samples: two minutes at 500 Hz.
 RING = 60_000
 
 
 class Slot(IntEnum):
     """Positions of numbers in the shared header, and which process writes each."""
 
-    STOPS = 0  # parent: number of stops asked for
+    STOPS = 0  # parent: number of requested stops
     HEARTBEAT_S = 1  # child: monotonic time of its last cycle; nan while it is busy
     SAMPLES = 2  # child: number of samples written so far
     MODE = 3  # child: index of the ArmMode
     STREAMING = 4  # child: 1 while it streams a path
-    PATHS = 5  # child: number of paths that were told
+    PATHS = 5  # child: number of commanded paths
     WORST_PERIOD_S = 6  # child: longest time between two commands of a path
     LATE_PERIODS = 7  # child: number of such times above 1.25 periods
     PERIODS = 8  # child: number of such times
     SPEED = 9  # child: share of the full speed that the controller allows
-    REVISIONS = 11  # child: number of changes of a path that were told
-    REVISED = 12  # child: number of those that were taken
-    FOLLOWED = 13  # child: number of the paths told that were taken
+    REVISIONS = 11  # child: number of commanded changes of a path
+    REVISED = 12  # child: number of those that were accepted
+    FOLLOWED = 13  # child: number of commanded paths that were accepted
     SLOWED = 10  # child: 1 from when a path was broken off because it was slowed until a reset
 
 
 class SharedColumn(IntEnum):
-    """Numbers of a sample."""
+    """Columns of a sample."""
 
     T_S = 0  # on the cell's clock
     TCP = 1  # … to 6, the tool's pose as the controller writes it
@@ -56,7 +56,7 @@ class SharedState:
     """Header and ring in a file that both processes have mapped."""
 
     def __init__(self, descriptor: int) -> None:
-        # all of it at once: no page is to be found in the middle of a motion
+        # populated at once: no page fault during a motion
         self._map = mmap.mmap(descriptor, SIZE_BYTES, flags=mmap.MAP_SHARED | _AT_ONCE)
         numbers: FloatArray = np.frombuffer(self._map, dtype=np.float64)
         self._header = numbers[:_HEADER]
@@ -71,7 +71,7 @@ class SharedState:
         self._header[slot] = value
 
     def add(self, slot: Slot) -> None:
-        """Count."""
+        """Increment a number of the header."""
         self._header[slot] += 1.0
 
     def write_sample(self, sample: Sequence[float] | FloatArray) -> None:
@@ -89,9 +89,9 @@ class SharedState:
     def samples_since(self, t_s: float) -> FloatArray:
         """(n, 14) those not before a time, of the last half of the ring; only these are copied."""
         count = int(self._header[Slot.SAMPLES])
-        kept = range(max(0, count - RING // 2), count)
-        first = bisect_left(kept, t_s, key=lambda k: float(self._ring[k % RING, SharedColumn.T_S]))
-        return self._between(kept.start + first, count)
+        last = range(max(0, count - RING // 2), count)
+        first = bisect_left(last, t_s, key=lambda k: float(self._ring[k % RING, SharedColumn.T_S]))
+        return self._between(last.start + first, count)
 
     def _between(self, first: int, end: int) -> FloatArray:
         return np.array(self._ring[np.arange(first, end) % RING])

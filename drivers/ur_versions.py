@@ -19,7 +19,7 @@ FIRST_WITHOUT_DASHBOARD = 10
 
 
 class SupportLevel(StrEnum):
-    """How much is known of a version."""
+    """Level of support of a version."""
 
     PROVED = "proved"  # the driver's own tests run with it
     EXPECTED = "expected to work"  # ur-rtde 1.6.5 provides for it
@@ -29,7 +29,7 @@ class SupportLevel(StrEnum):
 
 @dataclass(frozen=True)
 class VersionRange:
-    """Versions of which the same is known, the first and the last included."""
+    """Range of versions with the same support, first and last included."""
 
     first: Version
     last: Version
@@ -116,16 +116,16 @@ def is_proved(version: Version) -> bool:
 def refusal(version: Version, allowed: Version | None) -> Refusal | None:
     """Why a controller is refused; None = the driver may run with it.
 
-    allowed  the version for which somebody takes responsibility; None = nobody does
+    allowed  version for which the user takes responsibility; None = none
     """
-    found = known_of(version)
+    entry = known_of(version)
     name = version_text(version)
-    if found.known is SupportLevel.PROVED or (
-        found.known is not SupportLevel.BREAKS and version == allowed
+    if entry.known is SupportLevel.PROVED or (
+        entry.known is not SupportLevel.BREAKS and version == allowed
     ):
         return None
-    cause = f"the controller runs PolyScope {name}, {found.known}: {found.says}"
-    if found.known is SupportLevel.BREAKS:
+    cause = f"the controller runs PolyScope {name}, {entry.known}: {entry.says}"
+    if entry.known is SupportLevel.BREAKS:
         return Refusal(cause, _INSTALL_X if version >= (10, 0) else _INSTALL)
     if allowed is not None:
         cause += f"; arm.allow_version allows {version_text(allowed)}"

@@ -25,7 +25,7 @@ _LOST_REMEDY = (
 
 @dataclass(frozen=True)
 class UrcapGripperOptions(RobotiqOptions):
-    """How the gripper is reached, and what it does.
+    """Connection and motion of the gripper.
 
     host     the UR controller
     reply_s  time that an answer may take
@@ -80,12 +80,12 @@ class UrcapGripper(RobotiqGripper):
     def _get(self, variable: str) -> int:
         answer = self._transact(f"GET {variable}")
         name, _, value = answer.partition(" ")
-        if name != variable or not value.isdecimal():  # `?` where no gripper is found
+        if name != variable or not value.isdecimal():  # `?` without a gripper
             self._lose(f"answers {answer[:80]!r}")
         return int(value)
 
     def _transact(self, request: str) -> str:
-        """The answer to a line; not asked again, as TCP loses nothing.  Raises DeviceLostError."""
+        """The answer to a line; no repetition, as TCP loses nothing.  Raises DeviceLostError."""
         with self._lock:
             if self._socket is None:
                 raise DeviceLostError(self.name, "not connected", "connect first")

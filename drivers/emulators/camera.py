@@ -30,7 +30,7 @@ from drivers.threads import GuardedThread, end_process, only_logged
 
 
 class Scene(Protocol):
-    """Interface of what an emulated camera sees.  Lives in its process; one thread uses it."""
+    """Interface of the scene of an emulated camera, used by one thread of its process."""
 
     def picture(self, t_s: float) -> Image:
         """(H, W) picture with the middle of its exposure at `t_s` of the monotonic clock, a few
@@ -43,7 +43,7 @@ class Scene(Protocol):
         ...
 
     def notify(self, message: object) -> None:
-        """Something that the parent process says, e.g. that a cable was gripped."""
+        """Message of the parent process, e.g. that a cable was gripped."""
         ...
 
 
@@ -77,18 +77,18 @@ class TestCard:
         """Nothing happens to a test card."""
 
     def notify(self, message: object) -> None:
-        """Nothing can be told to a test card."""
+        """Messages to a test card have no effect."""
 
 
-_GLANCE_S = 0.02  # how often whoever waits looks whether something changed
+_POLL_S = 0.02  # polling interval of all waits
 
 
 @dataclass(frozen=True)
 class CameraEmulatorOptions:
     """Properties of the emulated camera.
 
-    poll_s     from the middle of an exposure until the scene is asked for the picture: it may
-               need what others measured at that moment
+    poll_s     from the middle of an exposure until the picture is requested from the scene: it
+               may need measurements of other processes of that moment
     readout_s  from the middle of an exposure until the picture leaves the camera
     backlog_s  a picture that would leave that much too late is dropped, as in a real camera
     """
@@ -150,18 +150,18 @@ class EmulatedCamera(EmulatorProcess):
         self._faults = StreamFaults()
         self._host, self._port = address
 
-    def started(self, said: int) -> None:
+    def started(self, port: int) -> None:
         """Take the port on which it listens."""
-        self._port = said
+        self._port = port
 
     @property
     def url(self) -> str:
-        """What OpenCV is to open."""
+        """URL that OpenCV opens."""
         return f"tcp://{self._host}:{self._port}"
 
     @property
     def faults(self) -> StreamFaults:
-        """What goes wrong."""
+        """Active faults."""
         return self._faults
 
     @faults.setter
@@ -200,7 +200,7 @@ def serve(
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(PRIORITY)
-    GuardedThread("door", partial(serve_requests, door, server.do), end_process).start()
+    GuardedThread("door", partial(serve_requests, door, server.serve_request), end_process).start()
     door.send((True, server.port))
     server.run()
 
@@ -237,18 +237,18 @@ class _Server:
         self._listener: socket.socket | None = socket.create_server(address)
         self._host, self.port = self._listener.getsockname()
 
-    def do(self, what: str, content: object) -> object:
-        """What the parent asks for.  Raises whatever the scene does when it is told something."""
-        if what == "faults" and isinstance(content, StreamFaults):
+    def serve_request(self, name: str, content: object) -> object:
+        """Serve a request of the parent.  Raises any error of the scene on a message."""
+        if name == "faults" and isinstance(content, StreamFaults):
             self.faults = content
             self._wait_for_door()
-        elif what == "tell":
+        elif name == "tell":
             answer: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
             self._messages.put((content, answer))
             error = answer.get()
             if error is not None:
                 raise error
-        elif what == "counts":
+        elif name == "counts":
             return self._counts
         return None
 
@@ -282,19 +282,19 @@ class _Server:
                 if self._listener is not None:
                     self._listener.close()
                     self._listener = None
-                time.sleep(_GLANCE_S)
-                self._hear()
+                time.sleep(_POLL_S)
+                self._deliver_messages()
                 continue
             if self._listener is None:
                 self._listener = socket.create_server((self._host, self.port))
-            self._listener.settimeout(_GLANCE_S)
+            self._listener.settimeout(_POLL_S)
             try:
                 client, _ = self._listener.accept()
             except TimeoutError:
-                self._hear()
+                self._deliver_messages()
                 continue
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            client.settimeout(_GLANCE_S)
+            client.settimeout(_POLL_S)
             return client
 
     def _poll(self, parcels: queue.Queue[_Parcel | None], gone: threading.Event) -> None:
@@ -311,9 +311,9 @@ class _Server:
             faults = self.faults
             due_s += faults.slow / options.frame_rate_hz
             sleep_until(due_s + options.poll_s)
-            self._hear()
+            self._deliver_messages()
             if self._somebody_waits():
-                break  # the reader before has given up, or forgot to close
+                break  # the former reader has ended without closing
             if faults is not missing_of:
                 missing_of, missing = faults, faults.missing
             behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
@@ -361,10 +361,10 @@ class _Server:
         """The next parcel; meanwhile see whether the reader is still there.  Raises OSError."""
         while True:
             try:
-                return parcels.get(timeout=_GLANCE_S)
+                return parcels.get(timeout=_POLL_S)
             except queue.Empty:
                 self._check_not_refused()
-            if select.select([client], [], [], 0.0)[0]:  # a reader says nothing: this is its end
+            if select.select([client], [], [], 0.0)[0]:  # a reader sends nothing: this is its end
                 raise ConnectionResetError("the reader has gone")
 
     def _check_not_refused(self) -> None:
@@ -382,8 +382,8 @@ class _Server:
             except TimeoutError:
                 continue
 
-    def _hear(self) -> None:
-        """Tell the scene what came for it, and let it live on."""
+    def _deliver_messages(self) -> None:
+        """Deliver the waiting messages to the scene, and let it keep up."""
         self._scene.keep_up()
         while True:
             try:

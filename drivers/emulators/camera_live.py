@@ -17,9 +17,9 @@ from drivers.sim.world import SimView
 from drivers.ur_kinematics import MODELS
 from drivers.ur_pose import matrix_of
 
-_KEPT_S = 0.4  # poses and shapes older than this are forgotten; older pictures are not taken
+_HISTORY_S = 0.4  # older poses and shapes are dropped; no older pictures are rendered
 _FIRST_POSE_S = 5.0
-_PORTION_S = 0.05  # longest motion that a cable is given at once
+_PORTION_S = 0.05  # longest motion per simulation call of a cable
 _PATIENCE_S = 0.03  # longer than any pose is under way
 
 
@@ -105,7 +105,7 @@ class LiveScene:
             return
         if message is not None and not callable(message):
             raise TypeError(f"{message!r} is neither a cable's factory nor None")
-        self._swing()  # what came so far is not the new cable's
+        self._swing()  # the motion so far is not the new cable's
         self._cable = None if message is None else message()
         self._shape = _Track()
 
@@ -135,7 +135,7 @@ class LiveScene:
         )
 
     def keep_up(self) -> None:
-        """Take in the new poses; move the cable along if nobody looks, for then it is not seen."""
+        """Take in the new poses; move the cable along while no picture is taken."""
         new = self._poses()
         if new is None:
             return
@@ -175,7 +175,7 @@ class _Track:
         if not self.empty:
             t_s = np.concatenate([self._t_s, t_s])
             values = np.concatenate([self._values, values])
-        keep = t_s > t_s[-1] - _KEPT_S
+        keep = t_s > t_s[-1] - _HISTORY_S
         self._t_s, self._values = t_s[keep], values[keep]
 
     def at(self, t_s: FloatArray) -> FloatArray:

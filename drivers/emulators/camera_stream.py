@@ -52,7 +52,7 @@ def stream_header(width_px: int, height_px: int, frame_rate_hz: float) -> bytes:
 
 
 def picture_header(stamp_s: float, size_bytes: int) -> bytes:
-    """What goes before the bytes of one picture.  stamp_s ≥ 0, kept to a microsecond."""
+    """Header of a picture's bytes.  stamp_s ≥ 0, with a resolution of a microsecond."""
     timestamp = _element(b"\xe7", _number(round(stamp_s * 1e9 / _TICK_NS)))
     block = b"\x81" + struct.pack(">h", 0) + b"\x80"  # track 1, at the cluster's time, key frame
     simple = b"\xa3" + _size(len(block) + size_bytes) + block

@@ -40,13 +40,13 @@ class GripperProcess(EmulatorProcess):
         self._faults = RobotiqFaults()
         self.port = "" if link is None else str(link)
 
-    def started(self, said: str) -> None:
+    def started(self, port: str) -> None:
         """Take the name of the serial line."""
-        self.port = said
+        self.port = port
 
     @property
     def faults(self) -> RobotiqFaults:
-        """What goes wrong; set it anew to change it."""
+        """Active faults; to change them, set a new object."""
         return self._faults
 
     @faults.setter
@@ -67,9 +67,9 @@ class GripperProcess(EmulatorProcess):
         self.request("lay_out", cable)
 
     def observe(self) -> JawsObserver:
-        """What the jaws do."""
-        seen: JawsObserver = self.request("look")
-        return seen
+        """Present state of the jaws."""
+        state: JawsObserver = self.request("look")
+        return state
 
 
 def serve(door: Connection, link: Path | None, address: int) -> None:
@@ -81,7 +81,7 @@ def serve(door: Connection, link: Path | None, address: int) -> None:
     except OSError as error:
         door.send((False, str(error)))
         return
-    GuardedThread("door", partial(serve_requests, door, bench.do), end_process).start()
+    GuardedThread("door", partial(serve_requests, door, bench.serve_request), end_process).start()
     door.send((True, bench.port))
     threading.Event().wait()
 
@@ -99,10 +99,10 @@ class _Emulation:
             self._name_it(link)
             self.port = str(link)
 
-    def do(self, what: str, content: object) -> object:
-        """What the parent asks for."""
+    def serve_request(self, name: str, content: object) -> object:
+        """Serve a request of the parent."""
         jaws = self._gripper.jaws
-        match what, content:
+        match name, content:
             case "faults", RobotiqFaults() as faults:
                 jaws.faults = faults
             case "lay_out", bool(cable):
@@ -114,7 +114,7 @@ class _Emulation:
             case "look", _:
                 return JawsObserver(jaws.holds, jaws.count, jaws.activation == 3)
             case _:
-                raise ValueError(f"{what!r} is not understood")
+                raise ValueError(f"{name!r} is not understood")
         return None
 
     def _plug(self) -> None:

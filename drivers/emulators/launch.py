@@ -29,7 +29,7 @@ class EmulatorError(RuntimeError):
 class EmulatedController:
     """A UR controller on a loopback address, alive within a `with`.
 
-    start_rad  (6,) joints at which the arm stands at first; None = as it likes
+    start_rad  (6,) initial joints of the arm; None = a default
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class EmulatedController:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # a Ctrl-C is for whoever started it, who then ends it
+            start_new_session=True,  # Ctrl-C goes to its parent, which then ends it
         )
         assert process.stdout is not None
         ready, _, _ = select.select([process.stdout], [], [], _START_S)
-        said = process.stdout.readline().strip() if ready else f"says nothing within {_START_S:g} s"
-        if said != "ready":
+        line = process.stdout.readline().strip() if ready else f"says nothing within {_START_S:g} s"
+        if line != "ready":
             self.__exit__()
-            raise EmulatorError(f"the emulated controller on {self.host} {said or 'did not start'}")
+            raise EmulatorError(f"the emulated controller on {self.host} {line or 'did not start'}")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -93,16 +93,16 @@ class EmulatedController:
 class EmulatorProcess:
     """An emulator in a process of its own, alive within a `with`; it ends when its parent does.
 
-    name   as a person calls it: "camera"
-    serve  called in that process, with its end of a pipe and `args`; says first what `start`
-           returns here, then answers with `serve_requests`
+    name   in messages: "camera"
+    serve  called in that process, with its end of a pipe and `args`; first sends the argument of
+           `started`, then answers with `serve_requests`
     """
 
     def __init__(self, name: str, serve: Callable[..., None], args: tuple[object, ...]) -> None:
         self._name = name
         self._serve = serve
         self._args = args
-        self._asking = threading.Lock()
+        self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
@@ -136,14 +136,14 @@ class EmulatorProcess:
         """Whether its process has not ended."""
         return self._process.is_alive()
 
-    def started(self, said: Any) -> None:
-        """Take what the process said when it was ready."""
+    def started(self, value: Any) -> None:
+        """Process the value that the process sent when it was ready."""
 
-    def request(self, what: str, content: object = None) -> Any:
-        """Ask from any thread.  Raises EmulatorError: it is gone, or did not understand."""
-        with self._asking:
+    def request(self, name: str, content: object = None) -> Any:
+        """Send a request from any thread.  Raises EmulatorError: it is gone, or refused."""
+        with self._lock:
             try:
-                self._door.send((what, content))
+                self._door.send((name, content))
             except OSError as error:
                 raise EmulatorError(f"the emulated {self._name} is gone") from error
             return self._answer(_ANSWER_S)
@@ -166,14 +166,14 @@ def leave_interrupts_to_parent() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def serve_requests(door: Connection, do: Callable[[str, Any], object]) -> None:
+def serve_requests(door: Connection, serve: Callable[[str, Any], object]) -> None:
     """Serve the parent's requests; end this process when the connection is closed."""
     try:
         while True:
             answer: tuple[bool, object]
-            what, content = door.recv()
+            name, content = door.recv()
             try:
-                answer = True, do(what, content)
+                answer = True, serve(name, content)
             except Exception as error:
                 answer = False, f"{type(error).__name__}: {error}"
             door.send(answer)

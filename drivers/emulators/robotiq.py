@@ -61,8 +61,8 @@ class Jaws:
         if self.faults.jammed:
             self.object = 0
             return
-        asked = float(self.command[1] & 0xFF)
-        target = min(asked, _CLOSED_COUNT)
+        requested = float(self.command[1] & 0xFF)
+        target = min(requested, _CLOSED_COUNT)
         if self.object_count is not None and self.count <= self.object_count:
             target = min(target, self.object_count)
         slow, fast = _RATES
@@ -71,7 +71,7 @@ class Jaws:
         if abs(self.count - target) > 0.5:
             self.object = 0
         else:
-            self.object = 2 if target < min(asked, _CLOSED_COUNT) else 3
+            self.object = 2 if target < min(requested, _CLOSED_COUNT) else 3
 
     @property
     def holds(self) -> bool:
@@ -86,8 +86,8 @@ class Jaws:
             raise IndexError(address)
         action = self.command[0] >> 8 & 0b1001
         status = action | self.activation << 4 | self.object << 6
-        asked = self.command[1] & 0xFF
-        return (status << 8, self.faults.fault_code << 8 | asked, round(self.count) << 8)[
+        requested = self.command[1] & 0xFF
+        return (status << 8, self.faults.fault_code << 8 | requested, round(self.count) << 8)[
             address - _STATUS
         ]
 

@@ -1,4 +1,4 @@
-"""Motion of the emulated arm: what each kind of URScript motion does to the joints per tick."""
+"""Motion of the emulated arm: the change of the joints per tick by each URScript motion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.interfaces import FloatArray
 from drivers.ur_kinematics import UR5E, UrModel
 from drivers.ur_pose import matrix_of, pose_of
 
-#: Where an arm stands at first, unless it is told otherwise.
+#: Default initial joints of an arm.
 HOME_RAD = (0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0)
 
 
@@ -126,11 +126,11 @@ class Decelerate:
         """Done at rest."""
         rate = joints.qd_rad_per_s if self.in_joints else joints.tool_speed()[:3]
         speed = float(np.linalg.norm(rate))
-        left = max(0.0, 1.0 - self.deceleration * step_s / speed) if speed > 1e-9 else 0.0
-        joints.go(joints.q_rad + joints.qd_rad_per_s * left * step_s, step_s)
-        if left == 0.0:
+        share = max(0.0, 1.0 - self.deceleration * step_s / speed) if speed > 1e-9 else 0.0
+        joints.go(joints.q_rad + joints.qd_rad_per_s * share * step_s, step_s)
+        if share == 0.0:
             joints.rest()
-        return left > 0.0
+        return share > 0.0
 
 
 class _Trapezoid:

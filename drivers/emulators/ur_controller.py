@@ -107,9 +107,9 @@ class Controller:
         self.speed_scaling = 1.0  # of the controller's own limiter
         self.digital_inputs = 0  # bits: 0 to 7 standard, 8 to 15 configurable, 16 and 17 tool
         self.digital_outputs = 0  # the same; they keep their values when a client goes
-        self.held_outputs = 0  # those that the installation has given to something else
+        self.held_outputs = 0  # those that the installation assigns to something else
         self.events: deque[ControllerEvent] = deque(maxlen=1000)
-        self.last_moved_s = 0.0  # monotonic time at which the arm was last seen moving
+        self.last_moved_s = 0.0  # monotonic time of the last motion of the arm
         self.servo_writes = 0
         self.dashboard_lines = 0
         self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion

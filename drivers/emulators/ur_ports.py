@@ -210,7 +210,7 @@ class PortFaults(_Lines):
     """Door for faults and digital signals: one JSON object per line in, one per line out."""
 
     def line(self, text: str) -> None:
-        """Do what is asked."""
+        """Serve a request."""
         try:
             request = json.loads(text)
             answer = self._act(request.pop("op"), request)

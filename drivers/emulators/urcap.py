@@ -102,8 +102,8 @@ class EmulatedUrcap:
             lines = client.recv(1024).decode().splitlines()
             faults = self.jaws.faults
             for line in lines if not faults.silent else []:
-                said = respond(self.jaws, line, self.plugged).encode()
-                client.sendall(os.urandom(len(said)) if faults.garbage else said)
+                answer = respond(self.jaws, line, self.plugged).encode()
+                client.sendall(os.urandom(len(answer)) if faults.garbage else answer)
         except OSError:
             lines = []
         if not lines:

@@ -47,8 +47,8 @@ class ArmFaults:
 class ArmTwinOptions:
     """Properties of the simulated arm.
 
-    lag_s           what the arm says of its lag
-    true_lag_s      how late it really is; None = as it says
+    lag_s           lag that the arm reports
+    true_lag_s      its true lag; None = as reported
     rate_hz         rate of poses streamed and logged
     noise_m         standard deviation of a measured coordinate
     noise_rad       standard deviation of the measured angle
@@ -130,7 +130,7 @@ class SimArm:
             self._let_faults_happen()
 
     def acknowledge(self) -> None:
-        """Do what a person does at the pendant: clear the controller's own stop."""
+        """Clear the controller's own stop, as a person does at the pendant."""
         with self._world.lock:
             self._controller_stop = None
 

@@ -25,7 +25,7 @@ _LOST_REMEDY = "check the camera's cable and power, then connect again"
 class CameraFaults:
     """Faults of the simulated camera, active until `faults` is set again.
 
-    Frames are given by their index in a recording, times on the cell's clock.
+    Frames are identified by their index in a recording; times are on the cell's clock.
     """
 
     refuses_to_connect: bool = False
@@ -37,7 +37,7 @@ class CameraFaults:
     black_frames: frozenset[int] = frozenset()
     saturated_frames: frozenset[int] = frozenset()
     noise_level: float = 0.0  # standard deviation of further noise, grey levels
-    stamp_error_s: float = 0.0  # a frame says it is that much later than it is
+    stamp_error_s: float = 0.0  # stamp minus true time, s
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class CameraTwinOptions:
     """Place and properties of the simulated camera.
 
     sight          where it really stands, and its lens: (3, 3) pixel → plane, m; or a `Pinhole`
-    picture        what the picture looks like, exposure time included
+    picture        appearance of the picture, exposure time included
     frame_rate_hz  frames per second
     readout_s      time from the end of the exposure until a frame can be had
-    stamps_late_s  a frame says that it was exposed that much later than it was
+    stamps_late_s  stamp of a frame minus its true time of exposure
     """
 
     sight: Sight

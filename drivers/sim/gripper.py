@@ -28,7 +28,7 @@ class GripperFaults:
 
     refuses_to_connect: bool = False
     lost_at_s: float | None = None
-    misses: bool = False  # the jaws close beside the cable
+    misses: bool = False  # the jaws miss the cable
     slips_at_s: float | None = None  # the cable falls out of the closed jaws
     slides_at_s: float | None = None  # the cable is pulled out by slides_m but stays held
     slides_m: float = 0.0

@@ -38,10 +38,10 @@ class Pinhole:
         roll_rad: float = 0.0,
         distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
     ) -> Pinhole:
-        """Camera whose optical axis is the picture's middle and that sees the plane in a given way.
+        """Camera with its optical axis in the middle of the picture, by its view of the plane.
 
         metres_per_pixel  across the line of sight, at the plane's point in the picture's middle
-        origin_px         where the plane's origin would be seen by a camera square to the plane
+        origin_px         image of the plane's origin in a camera square to the plane
         size_px           width and height
         tilt_rad          turn about the plane's x axis: positive = looks down on it
         pan_rad           turn about the plane's y axis
@@ -75,9 +75,9 @@ class Pinhole:
         points = np.asarray(points_m, dtype=np.float64)
         flat = np.zeros((points.size // points.shape[-1], 3))
         flat[:, : points.shape[-1]] = points.reshape(len(flat), -1)
-        seen = flat @ self.X_CP[:3, :3].T + self.X_CP[:3, 3]
+        points = flat @ self.X_CP[:3, :3].T + self.X_CP[:3, 3]
         still = np.zeros(3)
-        pixels, _ = cv2.projectPoints(seen, still, still, self.matrix, np.array(self.distortion))
+        pixels, _ = cv2.projectPoints(points, still, still, self.matrix, np.array(self.distortion))
         return np.asarray(pixels, dtype=np.float64).reshape(*points.shape[:-1], 2)
 
 

@@ -60,12 +60,12 @@ class _Held:
 class SimWorld:
     """Simulated cell: one hand, the cables waiting for it, and the one that it holds.
 
-    The cable is simulated ahead, once per motion, and kept on a grid of times; whatever changes
+    The cable is simulated ahead, once per motion, and stored on a grid of times; whatever changes
     the committed motion drops the part of the grid that it makes untrue.
 
     clock    simulated time
     home     pose of the gripping point at the start
-    grid_hz  rate at which shapes are kept; between them the view interpolates with cubics
+    grid_hz  rate of the stored shapes; between them the view interpolates with cubics
     ahead_s  how far beyond the last committed motion a simulation looks
     """
 
@@ -128,7 +128,7 @@ class SimWorld:
             self._waiting.append(cable)
 
     def supply(self, cables: Iterator[CableShape]) -> None:
-        """Where further cables come from when those laid out are taken."""
+        """Set the source of further cables after those laid out."""
         with self.lock:
             self._further = cables
 
@@ -175,7 +175,7 @@ class SimWorld:
     # --- the camera ---------------------------------------------------------------------------
 
     def cable_shapes(self, t_s: FloatArray) -> SimView:
-        """What is to be seen at moments (S,) that have come already, increasing.
+        """The scene at past times (S,), increasing.
 
         Raises ValueError: a moment lies in the future; the cable's callable gave wrong shapes.
         """
@@ -287,7 +287,7 @@ class GripperTrajectory:
         self._poses = np.concatenate([self._poses, hold_p, poses])
 
     def replace(self, t_s: float, path: Trajectory) -> None:
-        """Give up what is committed after `t_s` for what `path`, absolute times, says of it."""
+        """Replace the committed motion after `t_s` by `path`, in absolute times."""
         here = self.at(np.array([t_s]))
         keep, later = self._t_s < t_s, path.t_s > t_s
         poses = np.stack([path.x_m, path.y_m, path.angle_rad], axis=-1)[later]
@@ -295,7 +295,7 @@ class GripperTrajectory:
         self._poses = np.concatenate([self._poses[keep], here, poses])
 
     def halt(self, t_s: float, duration_s: float) -> None:
-        """Give up what is committed after `t_s` and come to rest within `duration_s`.
+        """Drop the committed motion after `t_s` and come to rest within `duration_s`.
 
         Never later than it was committed to rest anyway.  Speed falls as half a cosine, so the
         way is half of speed times duration.
