@@ -45,10 +45,9 @@ _DERIVATIVE_TOLERANCE = 0.01
 class ArmLimits:
     """Limits of the gripping point's place and motion.
 
-    tolerance_m, tolerance_rad  what a pose may exceed its range by: a path that begins where a
-                                gripper
-                                was measured, at rest on its limit, carries the arm's noise and
-                                rounding; several times an arm's repeatability of 0.03 mm
+    tolerance_m, tolerance_rad  allowed excess of a pose over its range: a path that begins at a
+                                measured pose on the limit has the arm's noise and rounding;
+                                several times an arm's repeatability of 0.03 mm
     """
 
     x_min_m: float
@@ -69,7 +68,7 @@ class ArmLimits:
     tolerance_rad: float = 1e-3
 
 
-#: Paths are the same where they are so near to each other, m or rad.
+#: Paths count as equal within this distance, m or rad.
 SAME_PATH = 1e-6
 
 
@@ -151,13 +150,13 @@ def _described(pose: Pose) -> str:
 def check_path(
     path: Trajectory, limits: ArmLimits, device: str = "arm", remedy: str = _NOTHING_MOVED
 ) -> None:
-    """Whether a path may be sent at all.
+    """Check that a path may be sent.
 
     A pose may exceed its range by the stated tolerance; speed, acceleration and jerk their limit by
     1 %.  These are divided differences over at least 8 ms, with the arm at rest before the first
     and after the last point.
 
-    remedy  what the error says of what was done and is to be done
+    remedy  of the error: the present situation and the next action
     raises  LimitError: naming the first point at fault, its value and the limit
     """
     columns = {"x": path.x_m, "y": path.y_m, "angle": path.angle_rad}
@@ -309,7 +308,7 @@ class GuardedCamera(CameraAround):
 
     def read(self) -> Frame | None:
         """Raises CameraError naming the frame that is missing, late, repeated or out of order."""
-        asked_s = self._clock.now_s()
+        called_s = self._clock.now_s()
         frame = self._camera.read()
         if frame is None:
             if self._count < self._wanted:
@@ -318,7 +317,7 @@ class GuardedCamera(CameraAround):
         which = f"frame {frame.index + 1} of {self._wanted}"
         if frame.index != self._count:
             self._fail(f"{which} came where frame {self._count + 1} was due")
-        waited_s = self._clock.now_s() - max(asked_s, frame.t_s)
+        waited_s = self._clock.now_s() - max(called_s, frame.t_s)
         if waited_s > self._limits.max_latency_s:
             self._fail(
                 f"{which} came {waited_s:.3f} s late, allowed {self._limits.max_latency_s:.3f} s"
@@ -352,7 +351,7 @@ class GuardedCamera(CameraAround):
 
 
 def _same(image: Image, other: Image) -> bool:
-    """Whether two pictures are: one pixel in 256 nearly always tells that they are not."""
+    """Whether two pictures are equal; one pixel in 256 nearly always shows a difference."""
     return bool(
         np.array_equal(image[::16, ::16], other[::16, ::16]) and np.array_equal(image, other)
     )

@@ -1,4 +1,4 @@
-"""Asks the operating system to run a process in real time, and bounds what it may do with that."""
+"""Requests real-time scheduling from the operating system, and limits its use."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run_in_real_time(priority: int = 20) -> bool:
 def raise_thread(priority: int) -> bool:
     """Schedule the calling thread and those that it will start in real time (SCHED_FIFO).
 
-    For threads that wait nearly all the time: what they wait for must not be missed.
+    For threads that wait nearly all the time for events that must not be missed.
     priority  1 … 99 of the real-time scheduler; the arm's process has 20
     returns   False where this is not permitted; the thread then runs as before
     """
@@ -43,7 +43,7 @@ def raise_thread(priority: int) -> bool:
 
 
 def take_precedence() -> bool:
-    """Run the calling thread, and the threads and processes that it will start, before others'.
+    """Raise the priority of the calling thread, and of the threads and processes it will start.
 
     Linux shares a computer among sessions first, where it groups them; so the session's share is
     raised too, with all that runs in it, until this process ends.
@@ -83,9 +83,9 @@ def own_threads() -> set[int]:
 class Pollers:
     """Threads of this process that poll every 100 µs, as ur-rtde's do.
 
-    In real time each takes a fifth of a core.  While their user sleeps nobody needs them: they may
-    then wake up later, and after others.  While it is awake they are in real time as it is, since
-    it may wait for them without sleeping.
+    In real time each takes a fifth of a core.  While their user sleeps they are not needed: they
+    may then wake up later, at ordinary priority.  While it is awake they are in real time, too,
+    since it may wait for them without sleeping.
 
     threads  numbers as of `own_threads`
     slack_s  largest delay of their wake-ups while their user sleeps, s
@@ -105,7 +105,7 @@ class Pollers:
             self._threads = {t: os.open(f"/proc/{t}/timerslack_ns", os.O_WRONLY) for t in threads}
 
     def eased(self) -> Pollers:
-        """Within a `with` they wake up later, and afterwards when they ask for it."""
+        """Within a `with` they wake up later; afterwards in time again."""
         return self
 
     def __enter__(self) -> None:
@@ -125,7 +125,7 @@ class Pollers:
 
 
 def bound_spinning(seconds: float) -> None:
-    """Have the system end this process if it computes in real time for so long without waiting.
+    """Let the system end this process if it computes in real time for so long without waiting.
 
     ur-rtde spins while it waits for a controller that has fallen silent, and would keep everything
     else off a core.  Without real-time scheduling, or where there is no such limit, nothing
@@ -136,6 +136,6 @@ def bound_spinning(seconds: float) -> None:
 
         _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
         soft = round(seconds * 1e6)
-        if hard != resource.RLIM_INFINITY:  # whoever administers the computer allows less
+        if hard != resource.RLIM_INFINITY:  # the administrator's limit is lower
             soft = min(soft, hard)
         resource.setrlimit(resource.RLIMIT_RTTIME, (soft, hard))

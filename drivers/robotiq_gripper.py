@@ -1,4 +1,4 @@
-"""What all ways to a Robotiq-type gripper (2F-85) have in common: its states, motions and faults.
+"""Common part of the drivers of a Robotiq-type gripper (2F-85): states, motions and faults.
 
 source  Robotiq, "2F-85 & 2F-140 Instruction Manual"
 
@@ -44,14 +44,14 @@ _FAULTS = {
     0x0E: "overcurrent",
     0x0F: "automatic release completed",
 }
-#: Codes from the first on hinder a motion; those from the second on end only with an
-#: activation; there is none from the third on.
+#: Lowest fault codes that hinder a motion, and that only an activation clears; upper bound of all
+#: codes.
 _FAULT, _NEEDS_ACTIVATION, _NO_FAULT = 0x08, 0x0A, 0x100
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotiqOptions:
-    """What the gripper's counts mean, and how long it may take.
+    """Scales of the gripper's counts, and its longest time of motion.
 
     motion_s      time that a motion or the activation may take
     stroke_m      opening at count 0
@@ -68,11 +68,11 @@ class RobotiqOptions:
 
 @dataclass(frozen=True)
 class GripperStatus:
-    """What the gripper reports.
+    """Reported state of the gripper.
 
     activation  3 = active
     object      0 = the jaws move, 2 = stopped while closing, 3 = arrived
-    requested   the count that it was sent to
+    requested   commanded count
     """
 
     activation: int
@@ -84,7 +84,7 @@ class GripperStatus:
 
     @property
     def active(self) -> bool:
-        """Whether it would move."""
+        """Whether it is activated."""
         return self.activation == _ACTIVE
 
     @property
@@ -100,7 +100,7 @@ class GripperStatus:
 
 @dataclass(frozen=True)
 class GripperAction:
-    """What the gripper is to do; all counts 0 … 255."""
+    """Command to the gripper; all counts 0 … 255."""
 
     active: bool
     going: bool = False
@@ -110,10 +110,10 @@ class GripperAction:
 
 
 class RobotiqGripper(ABC):
-    """A gripper that some connection leads to.  Any thread may ask for its state.
+    """A gripper over any connection.  Its state may be read from any thread.
 
     place   address of the connection, for messages
-    remedy  what a person looks at when there is no gripper
+    remedy  for a person when there is no gripper
     """
 
     def __init__(
@@ -207,18 +207,18 @@ class RobotiqGripper(ABC):
     def _move(self, count: int, force: int) -> GripperState:
         with self._lock:
             self._act(GripperAction(True, True, count, _FASTEST, force))
-            # the echo of the request tells the answer to this motion from that to the last one
+            # the echo of the request distinguishes this motion's answer from the last one's
             self._wait(lambda s: s.requested == count and s.going and not s.moving, "motion")
             return self.state()
 
     def _wait(
-        self, done: Callable[[GripperStatus], bool], what: str, hindering: int = _FAULT
+        self, done: Callable[[GripperStatus], bool], action: str, hindering: int = _FAULT
     ) -> None:
         until_s = self._clock.now_s() + self._jaws.motion_s
         while True:
             status = self._status()
             finished = done(status)
-            # one that only an activation clears holds the jaws, whatever else the registers say
+            # a fault that only an activation clears stops the jaws in any case
             if status.fault >= (max(hindering, _NEEDS_ACTIVATION) if finished else hindering):
                 reason = _FAULTS.get(status.fault, "unknown")
                 raise DeviceError(
@@ -229,7 +229,7 @@ class RobotiqGripper(ABC):
             if self._clock.now_s() > until_s:
                 raise DeviceTimeoutError(
                     self.name,
-                    f"{what} not finished within {self._jaws.motion_s:.1f} s",
+                    f"{action} not finished within {self._jaws.motion_s:.1f} s",
                     "clear the jaws",
                 )
             self._clock.sleep_s(self._jaws.poll_s)

@@ -1,6 +1,6 @@
 """Small RTDE client: reads a controller's version and outputs, and sets its inputs.
 
-Every wait has a deadline, and nothing in it needs ur-rtde: what watches inputs beside the arm can
+Every wait has a deadline, and nothing in it needs ur-rtde: a watch of inputs next to the arm can
 neither crash nor hang with that library.
 """
 

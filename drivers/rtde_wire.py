@@ -39,7 +39,7 @@ def _named(kind: str, names: str) -> dict[str, str]:
     return dict.fromkeys(names.split(), kind)
 
 
-#: What a controller can report, with its type.
+#: Variables that a controller can report, with their types.
 OUTPUTS: Mapping[str, str] = {
     **_named(
         "VECTOR6D",
@@ -65,7 +65,7 @@ OUTPUTS: Mapping[str, str] = {
     **{f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},
 }
 
-#: What a client can write, with its type.
+#: Variables that a client can write, with their types.
 INPUTS: Mapping[str, str] = {
     **{f"input_int_register_{i}": "INT32" for i in range(REGISTERS)},
     **{f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},

@@ -20,7 +20,7 @@ from drivers.robotiq_gripper import GripperAction, GripperStatus, RobotiqGripper
 T = TypeVar("T")
 
 _COMMAND, _STATUS = 0x3E8, 0x7D0
-#: What a line that has gone raises: pyserial's own errors, and one that it lets through.
+#: Errors of a lost line: pyserial's own, and one that it does not catch.
 _LINE_ERRORS = (OSError, termios.error)
 _LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then connect again"
 
@@ -84,14 +84,14 @@ class SerialGripper(RobotiqGripper):
         registers = [request, action.count, action.speed << 8 | action.force]
         self._transact(lambda bus: bus.write_registers(_COMMAND, registers))
 
-    def _transact(self, question: Callable[[minimalmodbus.Instrument], T]) -> T:
-        """Ask, and ask again after a bad or missing answer.  Raises DeviceLostError."""
+    def _transact(self, request: Callable[[minimalmodbus.Instrument], T]) -> T:
+        """Send a request, again after a bad or missing answer.  Raises DeviceLostError."""
         with self._lock:
             if self._bus is None:
                 raise DeviceLostError(self.name, "not connected", "connect first")
             for attempt in range(1, self._options.attempts + 1):
                 try:
-                    return question(self._bus)
+                    return request(self._bus)
                 except minimalmodbus.ModbusException as error:
                     if attempt == self._options.attempts:
                         self.close()

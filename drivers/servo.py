@@ -24,7 +24,7 @@ def servo_response(
 
     path     commanded, interpolated linearly between its points
     lag_s    ≥ 0; 0 = followed exactly
-    rate_hz  sample rate of what is returned, Hz
+    rate_hz  sample rate of the result, Hz
     start    where the arm rests; None = exactly on the path's first pose
     returns  response from `start` until it rests, evenly sampled
     source   exact for an input that is linear between samples (first-order hold)
@@ -66,12 +66,12 @@ def _numerator(step: float) -> FloatArray:
     """
 
     def ramp(y: float) -> float:
-        """What a ramp has become after y time constants; small y by the series."""
+        """Response to a ramp after y time constants; for small y by the series."""
         if y > 1.0:
             return y - 2.0 + (y + 2.0) * exp(-y)
         return fsum((2 - n) / factorial(n) * (-y) ** n for n in range(3, 20))
 
-    # a sample is a hat of three ramps; what its response would be without the poles
+    # a sample is a hat of three ramps; its response without the poles
     one, two, three = (ramp(k * step) / step for k in (1, 2, 3))
     hat = np.array([one, two - 2.0 * one, three - 2.0 * two + one])
     decay = exp(-step)
@@ -90,7 +90,7 @@ def _decaying_sum(values: FloatArray, decay: float) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def _decay(decay: float) -> tuple[FloatArray, FloatArray]:
-    """(64, 64) what each value of a block adds to each sum, (64,) what the last sum before adds."""
+    """(64, 64) weights of a block's values in each sum, (64,) weights of the last sum before."""
     order = np.arange(64)
     since = order[:, None] - order
     later: FloatArray = np.asarray(decay ** (order + 1.0), dtype=np.float64)

@@ -18,8 +18,8 @@ class GuardedThread(threading.Thread):
     The starter of a thread therefore states the consequence: a stop, or a named degradation.
 
     name      of the thread, for the log
-    work      what it does
-    on_death  called with what ended `work`, in this thread and before it is logged
+    work      function of the thread
+    on_death  called with the exception that ended `work`, in this thread, before it is logged
     """
 
     def __init__(

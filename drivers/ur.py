@@ -1,8 +1,8 @@
 """Universal Robots arm over RTDE, by way of a supervised child process.
 
 ur-rtde crashes or hangs when a connection drops, and waits with the interpreter's lock held; so it
-lives in `drivers.ur_child`, and this end holds every deadline.  Whatever becomes of the child, the
-controller's own watchdog stops the arm.
+runs in `drivers.ur_child`, and the parent checks every deadline.  After any failure of the child
+the controller's own watchdog stops the arm.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class UrOptions:
     stale_s         silence of the controller that counts as lost
     silent_s        silence of the child that counts as lost
     off_plane_m, tilt_rad   how far from the plane the tool may be when a motion starts
-    allow_version   PolyScope version for which somebody takes responsibility though it is not
-                    proved, major and minor; None = proved ones only
+    allow_version   PolyScope version, major and minor, that the user allows though it is not
+                    proved; None = proved ones only
     """
 
     host: str
@@ -236,7 +236,7 @@ class UrArm:
         """Raises StoppedError while the controller itself is stopped; DeviceLostError."""
         with self._lock:
             child = self._alive()
-            # what is stopped from now on stays stopped, so it is not cleared when the answer comes
+            # cleared before the answer comes, so that a stop meanwhile stays latched
             reason, self._stop_reason = self._stop_reason, None
             try:
                 self._reset(child)

@@ -66,7 +66,7 @@ def start_child(options: ChildOptions) -> ChildProcess:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=errors,
-            start_new_session=True,  # what happens at the terminal is for whoever started it
+            start_new_session=True,  # signals of the terminal go to the parent
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
     theirs.close()

@@ -32,12 +32,12 @@ _OUTPUTS = [
     "speed_scaling",
     "target_speed_fraction",
 ]
-#: By how much later ur-rtde's clients may see what comes while this process sleeps.
+#: Largest delay of ur-rtde's clients while this process sleeps, s.
 _POLLING_SLACK_S = 4e-4
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
-#: A controller notices within this that a connection has ended.
+#: Longest time until a controller detects the end of a connection, s.
 _FREED_S = 1.0
 _NO_LIBRARY = (
     "pip install 'ur-rtde>=1.6'; it is made for Python 3.11 and 3.12 on Linux x86-64, and must be "
@@ -138,11 +138,11 @@ class Robot:
 
     @property
     def unknown(self) -> str:
-        """Why nobody knows any more who has control; "" = it is known, or there is no dashboard."""
+        """Why remote control is unknown; "" = it is known, or there is no dashboard."""
         return "" if self._pendant is None else self._pendant.unknown
 
     def refresh(self) -> None:
-        """Ask the dashboard now.  Raises RefusedError: it does not answer."""
+        """Poll the dashboard now.  Raises RefusedError: it does not answer."""
         if self._pendant is not None:
             try:
                 self._pendant.request()
@@ -178,7 +178,7 @@ class Robot:
         self.control.setWatchdog(self._options.watchdog_hz)
 
     def _end_programs(self) -> None:
-        """End what still runs where there is no dashboard: ur-rtde would crash asking it to."""
+        """End a running program without a dashboard: ur-rtde would crash in its own request."""
         if self._pendant is not None or not self.control.isProgramRunning():
             return
         self.control.stopScript()
@@ -224,7 +224,7 @@ def _pendant(host: str, version: Version) -> RemoteControl | None:
 def _claimed(options: RobotOptions) -> RtdeClient:
     """The claim to command the controller; it ends with this process.
 
-    One of the same program is of a connection that has just ended, and soon is no more.
+    A claim of this program is of a connection that has just ended, and soon disappears.
     """
     until_s = time.monotonic() + _FREED_S
     while True:

@@ -97,7 +97,7 @@ _INSTALL_X = "install PolyScope X 10.10 or newer"
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a version is refused, and what a person can do."""
+    """Refusal of a version: cause, and remedy for a person."""
 
     cause: str
     remedy: str

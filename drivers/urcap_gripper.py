@@ -3,7 +3,7 @@
 source  Robotiq, "2F-85 & 2F-140 Instruction Manual for e-Series Universal Robots"; the URCap's
         server on the controller takes lines of text: `SET POS 255` → `ack`, `GET POS` → `POS 230`
 
-The server answers from what it last read of the gripper, and ends an answer with a line feed or
+The server answers with its last reading of the gripper, and ends an answer with a line feed or
 with nothing.
 """
 

@@ -1,4 +1,4 @@
-"""What this computer is and permits: cores, scheduler, kernel, clock, memory."""
+"""Properties and permissions of this computer: cores, scheduler, kernel, clock, memory."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def part(function: Callable[..., Any], **options: bool) -> Any:
 def inline(function: Callable[..., Any], *, checked: bool = False) -> Any:
     """Decorator of a small function: a `part` that is written out wherever it is called.
 
-    checked  an index beyond an array raises IndexError, as in Python; else it reads what is there
+    checked  an index beyond an array raises IndexError, as in Python; else it reads that memory
     """
     options = {"forceinline": True} | ({"boundscheck": True} if checked else {})
     return part(function, **options)
@@ -184,7 +184,7 @@ def is_to_be_compiled(function: Any) -> bool:
 
 
 def hash_of(sources: Iterable[Path]) -> str:
-    """Hash of what stands in some files, in the order of their names, and of how it is compiled."""
+    """Hash of the contents of files, in the order of their names, and of the compiler options."""
     digest = hashlib.sha256()
     for path in sorted([*sources, Path(__file__)]):
         digest.update(path.read_bytes())

@@ -44,7 +44,7 @@ _READING = os.O_CLOEXEC | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_
 #: `fcntl` by which no process gets a signal.
 _FCNTL = (1, 2, 3)  # F_GETFD, F_SETFD, F_GETFL
 
-#: What computing, compiling and importing call, by architecture; all else fails with EPERM.
+#: System calls of computing, compiling and importing, by architecture; others fail with EPERM.
 _CALLS: dict[str, dict[str, int]] = {
     "x86_64": {
         **{"read": 0, "write": 1, "close": 3, "stat": 4, "fstat": 5, "lstat": 6, "lseek": 8},
@@ -104,7 +104,7 @@ def confine(readable: Iterable[Path], parent: int) -> None:
 def hide(*places: Path) -> None:
     """Hide places from this process and all that it starts, for good; other processes, too.
 
-    What lies next to them, or to a folder above, stays as it is; nothing new can be made there.
+    Files next to them, or next to a folder above, stay unchanged; none can be created there.
     raises    UnconfinedError: the kernel offers no Landlock
     """
     if sys.platform != "linux":
@@ -136,7 +136,7 @@ def _limit() -> None:
 
 
 def _become_nobody(libc: ctypes.CDLL) -> None:
-    """Nobody, who may read what root may: Landlock then says what."""
+    """Become `nobody` with root's read access, which Landlock then restricts."""
     _prctl(libc, _PR_SET_KEEPCAPS, 1)
     os.setgroups([])
     os.setresgid(_NOBODY, _NOBODY, _NOBODY)
@@ -170,7 +170,7 @@ def _restrict_files(
     for place in places:
         try:
             opened = os.open(place, os.O_PATH | os.O_CLOEXEC)
-        except OSError:  # what cannot be opened is not read
+        except OSError:  # cannot be opened, so it is not read
             continue
         of_place = rights & allowed & (_NEWEST_FILE_RIGHTS if place.is_dir() else _OF_FILE)
         rule = struct.pack("=Qi", of_place, opened)

@@ -31,12 +31,12 @@ from cell.computer.watched import MOST_FORKS, fork_ended, fork_started
 Given = TypeVar("Given")
 Returned = TypeVar("Returned")
 
-#: While forks are waited for, whoever waits looks this often whether anybody still wants it, s.
+#: Interval at which a wait for forks checks whether the results are still wanted, s.
 _POLL_S = 0.05
 _SIZE_BYTES = 8
-#: Where the system does not tell that a parent has ended, a process looks this often, s.
+#: Polling interval for the parent's end where the system does not signal it, s.
 _PARENT_S = 1.0
-#: Of prctl: the signal that a process gets when the one that made it has ended.
+#: Option of prctl: signal to a process when its parent has ended.
 _PR_SET_PDEATHSIG = 1
 
 
@@ -61,12 +61,12 @@ class Forks:
         done: Callable[[Given, Returned], None] = lambda job, result: None,
         check: Callable[[], None] = lambda: None,
     ) -> list[Returned]:
-        """Results of all jobs, in their order; what a job does besides is lost if a copy did it.
+        """Results of all jobs, in their order; side effects of jobs in copies are lost.
 
-        Whichever core is free takes the next.  A job that a copy could not do, because it was
-        killed or the function raised, is done again by this process.
+        Each free core takes the next job.  A job that failed in a copy, because that was killed or
+        the function raised, is done again by this process.
 
-        function  one of those that `forks` was opened with
+        function  one of the functions of `forks`
         done      called with every job as its result comes, by any thread
         check     may raise while others are waited for
         """
@@ -118,7 +118,7 @@ class Forks:
         return [results[number] for number in range(len(jobs))]
 
     def close(self) -> None:
-        """End the copies, whatever they are doing."""
+        """Kill the copies."""
         for worker in self._workers:
             worker.end()
 
@@ -132,8 +132,8 @@ def forks(
 ) -> Iterator[Forks]:
     """Fork this process within the `with`; the forks can call any of `functions`.
 
-    most   at most so many jobs at a time, those of this process included
-    known  objects that are not pickled: a copy has them, and what it gives back has this process's
+    most   largest number of simultaneous jobs, those of this process included
+    known  objects that are not pickled: a copy has them, and its results refer to this process's
     """
     workers: list[Fork] = []
     try:
@@ -158,7 +158,7 @@ class Fork:
         child_reads, here_writes = os.pipe()
         here_reads, child_writes = os.pipe()
         parent = os.getpid()
-        # a signal waits until the copy knows that it is none of its business
+        # signals wait until the copy ignores them
         former = signal.pthread_sigmask(signal.SIG_BLOCK, _PARENTS)
         try:
             with warnings.catch_warnings():
@@ -183,7 +183,7 @@ class Fork:
         os.close(child_reads)
         os.close(child_writes)
         self._pid: int | None = pid
-        self._ending = threading.Lock()
+        self._lock = threading.Lock()
         self._jobs = os.fdopen(here_writes, "wb")
         self._results = os.fdopen(here_reads, "rb")
 
@@ -193,7 +193,7 @@ class Fork:
             _send(self._jobs, (self._functions.index(function), job), self._known)
             done, result = _received(self._results, self._known)
         except (OSError, EOFError, ValueError) as error:
-            self.end()  # what it was doing is not under way any more
+            self.end()  # its call is not under way any more
             raise LostError from error
         if not done:
             raise LostError
@@ -201,7 +201,7 @@ class Fork:
 
     def end(self) -> None:
         """Kill the copy."""
-        with self._ending:
+        with self._lock:
             pid, self._pid = self._pid, None
         if pid is None:
             return
@@ -229,7 +229,7 @@ class Fork:
 
 
 def end_with_parent(parent: int) -> None:
-    """Have the system kill this process when its parent, or the parent's thread, ends.
+    """Let the system kill this process when its parent, or the parent's thread, ends.
 
     parent  number of that process; if it has ended already, this one ends here
     """
@@ -250,12 +250,12 @@ def _watch_parent(parent: int) -> None:
 
 
 def _become_worker(parent: int, slot: int) -> None:
-    """What sets a copy apart: it hears no Ctrl-C, ends with its parent, and never prints by it."""
+    """Set up a copy: it ignores Ctrl-C, ends with its parent, and has output streams of its own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in _PARENTS[1:]:
         signal.signal(number, signal.SIG_DFL)
     end_with_parent(parent)
-    gc.freeze()  # what is old stays shared with the parent
+    gc.freeze()  # old objects stay shared with the parent
     # a thread that this process no longer has may have held the lock of the old ones
     sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), write_through=True)
     sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), write_through=True)
@@ -279,7 +279,7 @@ def _send(stream: BinaryIO, message: object, known: Sequence[object]) -> None:
 
 
 def _received(stream: BinaryIO, known: Sequence[object]) -> Any:
-    """The next message.  Raises EOFError: whoever sent them has ended."""
+    """The next message.  Raises EOFError: the sender has ended."""
     size = stream.read(_SIZE_BYTES)
     if len(size) < _SIZE_BYTES:
         raise EOFError
@@ -292,9 +292,9 @@ def _received(stream: BinaryIO, known: Sequence[object]) -> Any:
     return Unpickler(io.BytesIO(content)).load()
 
 
-#: Jobs that may be under way or done for each copy, before the result of the oldest is taken.
+#: Jobs under way or done per copy, ahead of the oldest result.
 _AHEAD = 4
-#: A job that so many copies were lost with is what ends them.
+#: Number of lost copies after which their job counts as the cause.
 _MOST_LOST = 2
 
 
@@ -310,12 +310,12 @@ def stream(
 ) -> Generator[Returned | ProcessLostError]:
     """Results of jobs in their order, `copies` of them under way at a time.
 
-    Jobs are taken one by one, no more than a few ahead of the results.  A copy that was killed is
-    replaced, and its job done again.  When the iterator is closed the copies end.
+    Jobs are taken one by one, no more than a few ahead of the results.  A killed copy is
+    replaced, and its job repeated.  Closing the iterator ends the copies.
 
     function  called in copies of this process; it must not raise
     check     may raise while a result is waited for
-    raises    OSError: this user may have no more processes; what `jobs` raises
+    raises    OSError: this user may have no more processes; errors of `jobs`
     """
     remaining = iter(jobs)
     waiting: SimpleQueue[tuple[Given, Future[Returned | ProcessLostError]] | None] = SimpleQueue()

@@ -22,8 +22,8 @@ def use_one_arena() -> None:
 def freeze_loaded_objects() -> None:
     """Exempt all objects loaded so far from garbage collection: they are never freed.
 
-    Otherwise each full collection looks at all of it; no other thread of Python runs meanwhile, and
-    no picture of a camera is taken.
+    Otherwise each full collection scans all of them, and no other thread of Python, such as a
+    camera's, runs meanwhile.
     """
     gc.collect()
     gc.freeze()

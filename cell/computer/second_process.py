@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 
-#: On a computer with too little to do both, frames are looked at first.
+#: Nice value: on a slow computer the processing of frames goes first.
 _NICE = 5
 _NICEST = 19  # there is nothing beyond
 
@@ -22,9 +22,8 @@ _NICEST = 19  # there is nothing beyond
 class SecondProcess(Executor):
     """Executor of one job at a time in a process of its own, apart from this one's Python lock.
 
-    It begins with the first job, begins anew after it was killed, and ends with this process
-    however that ends.  Jobs are functions of a module; they, what they take and what they give
-    are pickled.
+    It starts with the first job, is restarted after it was killed, and ends with this process
+    in every case.  Jobs are functions of a module; they, their arguments and results are pickled.
     """
 
     def __init__(self) -> None:
@@ -46,8 +45,8 @@ class SecondProcess(Executor):
 
     @contextlib.contextmanager
     def hurried(self) -> Iterator[None]:
-        """Within it jobs go as this process does, because somebody waits for one; where this user
-        may not ask for that they go as before.
+        """Within the `with` jobs have the priority of this process, because it waits for one; where
+        this user may not raise it, it stays.
         """
         self._schedule(0)
         try:
@@ -70,7 +69,7 @@ class SecondProcess(Executor):
         return process if any(child.pid == process for child in active_children()) else None
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the process: after its job if that is waited for, else at once."""
+        """End the process: after its job with `wait`, else at once."""
         if self._pool is None:
             return
         process = self._process()
@@ -82,7 +81,7 @@ class SecondProcess(Executor):
 
 
 def _begin() -> None:
-    """Let the first process go before, leave Ctrl-C to it, and do not outlive it."""
+    """Lower the priority, leave Ctrl-C to the first process, and end with it."""
     os.nice(_NICE)
     for number in (signal.SIGINT, signal.SIGHUP):  # of the terminal, for the first process
         signal.signal(number, signal.SIG_IGN)

@@ -60,12 +60,12 @@ class _CallSlot(ctypes.Structure):
     """Place of one call.
 
     number  odd during a call; incremented at its beginning and at its end
-    what    UTF-8 name of the current or last call
+    name    UTF-8 name of the current or last call
     """
 
-    _fields_ = (("number", ctypes.c_uint64), ("what", ctypes.c_char * (_SLOT_BYTES - 8)))
+    _fields_ = (("number", ctypes.c_uint64), ("name", ctypes.c_char * (_SLOT_BYTES - 8)))
     number: int
-    what: bytes
+    name: bytes
 
 
 class _SharedCalls(ctypes.Structure):
@@ -91,13 +91,13 @@ class Calls:
         self.shared = _SharedCalls.from_buffer(mmap.mmap(-1, ctypes.sizeof(_SharedCalls)))
         self._free = deque(range(_OWN))
 
-    def begin(self, what: str) -> int:
+    def begin(self, name: str) -> int:
         """Slot of a call that begins now; −1 = none was free, the call is not watched."""
         try:
             slot = self._free.popleft()
         except IndexError:
             return -1
-        self.shared.slots[slot].what = what.encode()[: _SLOT_BYTES - 9]
+        self.shared.slots[slot].name = name.encode()[: _SLOT_BYTES - 9]
         self.shared.slots[slot].number += 1
         return slot
 
@@ -111,9 +111,9 @@ class Calls:
         """Number of every slot."""
         return [slot.number for slot in self.shared.slots]
 
-    def what(self, slot: int) -> str:
+    def name(self, slot: int) -> str:
         """Name of the current or last call in a slot."""
-        return self.shared.slots[slot].what.decode(errors="replace")
+        return self.shared.slots[slot].name.decode(errors="replace")
 
     def fork(self, slot: int) -> int | None:
         """Number of the fork to which a slot belongs; None = the child itself."""
@@ -213,7 +213,7 @@ def _end_with(parent_end: int) -> None:
 
 
 def cpu_s(process: int) -> float:
-    """CPU time that a process has taken, s; 0 where the system does not report it."""
+    """CPU time of a process, s; 0 where the system does not report it."""
     try:
         after_name = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:
@@ -328,7 +328,7 @@ class _Watch:
                 if self._signal is not None:
                     continue
                 os.waitpid(self._child, 0)
-                self._say(f"{self._calls.what(stuck)} {no_end(self._patience_s)}")
+                self._say(f"{self._calls.name(stuck)} {no_end(self._patience_s)}")
                 return _STUCK
         _, status = os.waitpid(self._child, 0)
         code = os.waitstatus_to_exitcode(status)
@@ -353,7 +353,7 @@ class _Watch:
         under_way = [s for s, n in enumerate(self._calls.numbers()) if n % 2 == 1]
         name = signal.Signals(number).name
         if under_way:
-            self._say(f"{self._calls.what(under_way[0])} ends the process ({name}): mend that")
+            self._say(f"{self._calls.name(under_way[0])} ends the process ({name}): mend that")
             return _STUCK
         self._say(f"the computing was ended from outside ({name}); is there enough memory?")
         return 128 + number

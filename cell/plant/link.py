@@ -126,7 +126,7 @@ class Link:
         self._opened.close()
 
     def _take_in(self) -> None:
-        """Put what is new into status and journal; only one thread at a time."""
+        """Add new notices to status and journal; only one thread at a time."""
         while self._new:
             notice = self._new.popleft()
             if notice.kind is MessageKind.STATE:
@@ -148,7 +148,7 @@ class Link:
         return seconds
 
     def _publish_loop(self, server: CommandServer) -> None:
-        """Take in what is published, and let the server send it, much at once."""
+        """Process published notices, and let the server send many at once."""
         goes_on = True
         while goes_on:
             goes_on = self._bell.get()
@@ -183,9 +183,9 @@ class Link:
             then(answer)
 
     def _too_old(self, request: Request) -> CommandReply | None:
-        """The refusal of a request that has waited somewhere; a stop is obeyed however late."""
+        """The refusal of a delayed request; a stop is obeyed however late."""
         if request.command in INTERRUPTING:
             return None
-        what = "product" if request.command is None else request.command.value
-        late = too_old(what, request.asked_s)
+        name = "product" if request.command is None else request.command.value
+        late = too_old(name, request.asked_s)
         return CommandReply(False, self.status().state, late, "asked_s") if late else None

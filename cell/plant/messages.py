@@ -18,7 +18,7 @@ from cell.run.machine import TRANSITIONS, CellState, MachineEvent
 #: Of the messages; a program that speaks another version is refused.
 PROTOCOL = 2
 
-#: What a person or another machine may ask for; `done` is the cell's own.
+#: Commands of persons and other machines; `done` is the cell's own.
 COMMANDS = frozenset(MachineEvent) - {MachineEvent.DONE}
 
 
@@ -119,7 +119,7 @@ class Notice:
 
     sequence  counts from 1 in each run, without a gap
     time_s    Unix time
-    data      as `MessageKind` says
+    data      as listed in `MessageKind`
     ran_s     when it was on the computer's own clock, which nobody sets: for durations
     """
 
@@ -138,9 +138,9 @@ class Request:
     command  one of `COMMANDS`; None = only `product` is requested, or without it a person
              acknowledges, and nothing moves
     by       who asks: `plc`, `opcua:alice`, `web:bob`
-    note     of an acknowledgement (`clear`, `reset`, or alone): what was done
+    note     of an acknowledgement (`clear`, `reset`, or alone): action of the person
     part     of a `start`: id of the cable
-    product  of a `start`, or alone: what the next cycles make
+    product  of a `start`, or alone: product of the next cycles
     asked_s  time of the request, on the monotonic clock, which all programs of a computer share
     """
 
@@ -156,10 +156,10 @@ class Request:
 class CommandReply:
     """Answer to a request.
 
-    accepted  whether it was obeyed, or is latched to be
-    reason    why it was refused, with what is possible now
+    accepted  whether it was carried out or latched
+    reason    why it was refused, with the commands possible now
     state     of the cell after it
-    wrong     what of the request is refused whatever the state: `part`, `product`, or `asked_s`
+    wrong     entry that is refused in every state: `part`, `product`, or `asked_s`
     """
 
     accepted: bool
@@ -222,6 +222,6 @@ def status_after(
 
 
 def _of_product(status: Status, data: Mapping[str, Any]) -> Status:
-    """With model and calibration of a product, where a notice says them."""
+    """Status with model and calibration of a product, if the notice has them."""
     model, calibration = (data.get(k, getattr(status, k)) for k in ("model", "calibration"))
     return replace(status, model=model, calibration=calibration)

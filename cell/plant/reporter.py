@@ -1,4 +1,4 @@
-"""Publishes on the link what a cell does: states, steps, cycles, results, faults, waits."""
+"""Publishes events of a cell on the link: states, steps, cycles, results, faults, waits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cell.run.commands import INTERRUPTING, PAUSING, RESUMING
 from cell.run.cycle import Cell
 from cell.run.machine import CellState
 
-#: For what a cell waits in a state.
+#: What a cell waits for, by state.
 _WAITS = {
     CellState.IDLE: "start",
     CellState.STOPPED: "acknowledgement",
@@ -86,7 +86,7 @@ class Reporter:
         self._publish(MessageKind.ACKNOWLEDGED, {"by": by, "note": note})
 
     def product(self, name: str) -> None:
-        """What the next cycle makes."""
+        """Product of the next cycle."""
         self._publish(MessageKind.PRODUCT, {"product": name, **self._products.get(name, {})})
 
     def adapter(self, name: str, trouble: str) -> None:
@@ -94,7 +94,7 @@ class Reporter:
         self._publish(MessageKind.ADAPTER, {"adapter": name, "trouble": trouble})
 
     def waiting(self, *reasons: str) -> None:
-        """What the cell waits for; published when it changes."""
+        """Reasons why the cell waits; published when they change."""
         if reasons != self._waiting:
             with self._counting:
                 self._count()
@@ -135,7 +135,7 @@ def latch(cell: Cell, request: Request) -> CommandReply:
     return CommandReply(True, cell.machine.state)
 
 
-def refusal(cell: Cell, what: str, why: str = "", wrong: str = "") -> CommandReply:
+def refusal(cell: Cell, command: str, why: str = "", wrong: str = "") -> CommandReply:
     """Reply that refuses a request, with the reason and the commands possible now."""
     state = cell.machine.state
     now = ", ".join(possible_in(state)) or "nothing"
@@ -143,6 +143,6 @@ def refusal(cell: Cell, what: str, why: str = "", wrong: str = "") -> CommandRep
     return CommandReply(
         False,
         state,
-        f"{what!r} is refused while {state.value}{because}; possible now: {now}",
+        f"{command!r} is refused while {state.value}{because}; possible now: {now}",
         wrong,
     )

@@ -165,7 +165,7 @@ class CommandServer:
         self._loop.remove_reader(self._listening)
         for program in tuple(self._programs):
             with suppress(LaggingError):
-                while self._send_news(program):  # what it can still read
+                while self._send_news(program):  # all that it can still read
                     pass
             program.writer.transport.abort()
         while tasks := asyncio.all_tasks() - {
@@ -198,7 +198,7 @@ class CommandServer:
             self._programs.discard(program)
             if program.following is not None:
                 program.following.cancel()
-            writer.transport.abort()  # what it does not read must not keep the connection open
+            writer.transport.abort()  # unread data must not keep the connection open
             with suppress(OSError):
                 await writer.wait_closed()
 
@@ -281,7 +281,7 @@ class CommandServer:
 
 
 async def _line_from(reader: asyncio.StreamReader) -> bytes:
-    """The next line, or what there is before the end.  Raises ValueError: it is too long."""
+    """The next line, or the rest before the end.  Raises ValueError: it is too long."""
     try:
         return await reader.readline()
     except ValueError as error:

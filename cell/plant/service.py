@@ -207,8 +207,8 @@ class Service:
                 except RecordError as error:  # the next service asks again
                     _LOG.warning("%s", error)
 
-    def _refused(self, what: str, why: str = "", wrong: str = "") -> CommandReply:
-        return refusal(self._cell, what, why, wrong)
+    def _refused(self, command: str, why: str = "", wrong: str = "") -> CommandReply:
+        return refusal(self._cell, command, why, wrong)
 
     def end(self) -> None:
         """End after the cycle under way, or at once if it is paused; safe in a signal's handler."""

@@ -12,15 +12,15 @@ from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
-#: What must not be lost waits so long for a systemd that is busy, s; the rest does not wait.
+#: Longest wait of an important message for a busy systemd, s; others do not wait.
 _IMPORTANT_S = 1.0
 
 
 def unit_of(config: Path, runs: Path, folder: Path, user: str) -> str:
     """Text of the systemd unit of a service.
 
-    config, runs, folder  the settings, the records, and where the service works; absolute
-    raises  ValueError: a path or a user that systemd does not take; the message says what to do
+    config, runs, folder  settings, records, and working folder of the service; absolute
+    raises  ValueError: systemd rejects a path or the user; the message has the remedy
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*\$?|[0-9]+", user):
         raise ValueError(
@@ -41,7 +41,7 @@ def unit_of(config: Path, runs: Path, folder: Path, user: str) -> str:
         runs=_argument(str(runs)),
         folder=_literal(str(folder)),
         user=_literal(user),
-        # no variable is replaced in the name of the program itself, but in what it is called
+        # systemd replaces variables in arguments, not in the path of the program
         program=_quoted(_literal(sys.executable)),
         python=_argument(sys.executable),
     ).rstrip()
@@ -66,21 +66,21 @@ def _argument(text: str) -> str:
 class Notifier:
     """Sends a service's states to systemd; without systemd it does nothing.
 
-    environment  in which systemd names its socket, and within what time it wants signs of life
+    environment  contains systemd's socket and the interval of its watchdog
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
-        wanted = environment.get("WATCHDOG_USEC", "")
-        meant = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        self.watchdog_s = int(wanted) * 1e-6 if meant and wanted.isdigit() else None
+        interval_us = environment.get("WATCHDOG_USEC", "")
+        is_ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self.watchdog_s = int(interval_us) * 1e-6 if is_ours and interval_us.isdigit() else None
 
     def ready(self) -> None:
-        """The service takes requests."""
+        """The service accepts requests."""
         self._send("READY=1", _IMPORTANT_S)
 
     def status(self, words: str) -> None:
-        """What `systemctl status` shows."""
+        """Text for `systemctl status`."""
         self._send(f"STATUS={words}")
 
     def alive(self) -> None:
@@ -100,9 +100,9 @@ class Notifier:
             to.sendto(text.replace("\n", " ").encode(), address)
 
 
-#: A step that lasts longer is a program that hangs, s: the first one may compile.
+#: A longer step means that the program hangs, s: the first one may compile.
 LONGEST_STEP_S = 600.0
-#: A service that waits shows itself within it, s.
+#: Longest time between two signs of life of a waiting service, s.
 _WAITING_S = 5.0
 
 
@@ -115,17 +115,17 @@ class Watchdog:
         self._due_s = time.monotonic()
 
     def step(self) -> None:
-        """Something begins that may last as long as a step."""
+        """An action begins that may last as long as a step."""
         self._until_s = time.monotonic() + LONGEST_STEP_S
 
     def waiting(self) -> None:
-        """The service looks around while it waits."""
+        """The service waits, and checks its commands."""
         self._until_s = time.monotonic() + _WAITING_S
 
     def notify(self, *, paused: bool) -> None:
-        """Tell systemd if it is due; called every so often.
+        """Send a sign of life if it is due; called at short intervals.
 
-        paused  a person is waited for, who may take long
+        paused  the service waits for a person, for any time
         """
         watchdog_s, now_s = self.notifier.watchdog_s, time.monotonic()
         if watchdog_s is not None and (now_s < self._until_s or paused) and now_s >= self._due_s:

@@ -44,7 +44,7 @@ _LONGEST_PATH = 100
 class LinkError(OSError):
     """A cell cannot be reached, or was lost.  Scenario: it ends between a request and its answer.
 
-    What became of a request is not known then.
+    The fate of a request is not known then.
     """
 
 
@@ -104,7 +104,7 @@ def message_of(kind: type[Message], data: Any) -> Message:
 def request_of(data: Any) -> Request:
     """The request in plain data.
 
-    raises  ValueError: not a request; the message says what is wrong
+    raises  ValueError: not a request; the message names the fault
     """
     if not isinstance(data, dict):
         raise ValueError("a request is an object")

@@ -15,7 +15,7 @@ OLDEST_S = 1.0
 RESUMING = {MachineEvent.HOLD: MachineEvent.UNHOLD, MachineEvent.SUSPEND: MachineEvent.UNSUSPEND}
 
 
-def too_old(what: str, requested_s: float) -> str:
+def too_old(command: str, requested_s: float) -> str:
     """Reason to refuse a command sent at `requested_s` on the monotonic clock; "" = none.
 
     A time of a different clock is refused, too.
@@ -24,7 +24,7 @@ def too_old(what: str, requested_s: float) -> str:
     if abs(age_s) <= OLDEST_S:
         return ""
     return (
-        f"{what} was given {age_s:.1f} s ago, and is refused after {OLDEST_S:g} s: a program "
+        f"{command} was given {age_s:.1f} s ago, and is refused after {OLDEST_S:g} s: a program "
         "between was halted; look at the cell, then give it again"
     )
 

@@ -47,7 +47,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class CameraLoad:
-    """The camera's load on vision: size and rate of the pictures, and what is in them."""
+    """The camera's load on vision: size, rate and content of the pictures."""
 
     width_px: int
     height_px: int

@@ -140,7 +140,7 @@ class Corrector:
                 return
 
     def _act(self, flight: Flight, decision: Decision, since_s: float, from_s: float) -> None:
-        """Raises TooLateError: the arm cannot do it any more."""
+        """Carry out a decision.  Raises TooLateError: the arm refuses it as too late."""
         tail, self._tip_m = decision.tail, decision.tip_m
         if tail is not None and self._revise_path(tail.of(self._path), tail.from_s):
             _LOG.info(
@@ -163,7 +163,7 @@ class Corrector:
             self._stop(decision, since_s, from_s)
 
     def _stop(self, decision: Decision, since_s: float, from_s: float) -> None:
-        """What would not pass does not go on to the opening's edge.  Raises TooLateError."""
+        """Stop in front of the opening if the tip would miss it.  Raises TooLateError."""
         try:
             path = path_to_rest(self._path, from_s, self._station.task.lowering)
         except ValueError as error:
@@ -177,7 +177,7 @@ class Corrector:
             _LOG.info("%s", self.stopped)
 
     def _revise_path(self, path: Trajectory, from_s: float) -> bool:
-        """Whether the arm takes a change of its path.  Raises TooLateError."""
+        """Change the path; whether the arm accepts it.  Raises TooLateError."""
         try:
             self._revise(path, self._start_s + from_s)
         except TooLateError:

@@ -97,7 +97,7 @@ class Cell:
 
         The ledger lists it for every open cycle; after a stop in Idle only the log does.
 
-        by, note  name of the person, and what was done
+        by, note  name and action of the person
         raises    EventRefusedError: the cell is not stopped
         """
         if self.machine.state is CellState.ABORTED:
@@ -288,16 +288,16 @@ class Cell:
         progress.record = record = progress.record.opened(started)
         if filmed:
             progress.recording = CycleRecording(self._archive.recording_of(cycle.made))
-            what = {"aim": plan.aim.value, "product": cycle.made.name}
-            meant = {**what, "steps": plan.names, "speed": plan.speed}
+            goal = {"aim": plan.aim.value, "product": cycle.made.name}
+            planned = {**goal, "steps": plan.names, "speed": plan.speed}
             task = progress.station.task
-            progress.recording.begin(record.folder, progress.number, started, meant, task)
+            progress.recording.begin(record.folder, progress.number, started, planned, task)
         cycle.part = part
         if cycle.made.name is not None:
             record.state(product=cycle.made.name)
         cycle.listing = CycleListing(self._archive.ledger_of(cycle.made))
-        about = record.folder, progress.number, started, plan.aim.value
-        cycle.listing.begin(*about, part, cycle.made.name)
+        identity = record.folder, progress.number, started, plan.aim.value
+        cycle.listing.begin(*identity, part, cycle.made.name)
 
     def _reset(self, cycle: OneCycle) -> None:
         """Resetting, into Idle."""

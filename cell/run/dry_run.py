@@ -314,7 +314,7 @@ def _least(cost: Callable[[float], float], low: float, high: float) -> float:
 
 
 def _speed_m_per_s(hand: Trajectory) -> FloatArray:
-    """(n,) over 20 ms, so that the noise of single samples is not taken for speed."""
+    """(n,) over 20 ms, so that the noise of single samples does not count as speed."""
     t_s = np.arange(hand.t_s[0], hand.t_s[-1], 0.02)
     x_m, y_m = (np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m))
     if len(t_s) < 2:

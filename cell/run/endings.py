@@ -19,15 +19,15 @@ from drivers.interfaces import (
     DeviceTimeoutError,
 )
 
-#: After these the devices are connected anew; after the others they are still there.
+#: Errors after which the devices are reconnected; after the others they are still connected.
 UNREACHED = (ConnectError, DeviceLostError, DeviceTimeoutError, CameraError)
 
-#: What may end a cycle without being a mistake of the program.
+#: Errors that may end a cycle without a bug of the program.
 EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordError)
 
 
 def close(devices: Devices) -> None:
-    """Disconnect all devices, each whatever happens to the others."""
+    """Disconnect all devices, even if one of them fails."""
     try:
         devices.arm.close()
     finally:
@@ -45,7 +45,7 @@ def stop(devices: Devices, reason: str) -> None:
 def halt(devices: Devices, reason: str) -> ArmMode:
     """Stop the arm and the recording, and wait until the arm rests; the jaws stay as they are.
 
-    returns  the arm's mode at rest; LOST if it does not answer, and then nothing more is known
+    returns  the arm's mode at rest; LOST if it does not answer: then its state is unknown
     """
     devices.arm.stop(reason)
     devices.camera.stop()
@@ -59,7 +59,7 @@ def halt(devices: Devices, reason: str) -> ArmMode:
 
 
 def whereabouts_of_cable(devices: Devices) -> str:
-    """Sentence that says whether a cable is in the jaws, as far as the gripper reports it."""
+    """Sentence that states whether a cable is in the jaws, by the gripper's report."""
     try:
         held = devices.gripper.state().holding
     except DeviceError:
@@ -68,7 +68,7 @@ def whereabouts_of_cable(devices: Devices) -> str:
 
 
 def unreached(error: BaseException) -> bool:
-    """Whether an error, or the one that a command overtook, means a device out of reach."""
+    """Whether an error, or the one that a command replaced, means an unreachable device."""
     return isinstance(error, UNREACHED) or isinstance(error.__context__, UNREACHED)
 
 

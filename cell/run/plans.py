@@ -39,7 +39,7 @@ class Step:
     computes       its time is the computer's, not that of the cell's clock
     holding        it begins with a cable between the jaws and ends with it there
     may_pause      the cell can be held or suspended before it
-    time_critical  the gripper waits for what comes next: the record is written later
+    time_critical  the gripper waits for the next step: the record is written later
     with_rejected  it is done with a rejected cable too
     once           it is done in the first cycle only; those of `REPEATED_AFTER_LOSS` also after
                    devices were lost
@@ -104,7 +104,7 @@ class Plan:
     movements  those of the gripper, for a rehearsal: task, the arm's rate in Hz, factor of the
                speed
     speed      share of the task's speed at which the plan is carried out
-    initial_findings  what is known before the first step
+    initial_findings  findings before the first step
     """
 
     aim: Outcome
@@ -308,7 +308,7 @@ def filmed(filming: Filming, *, decides: bool) -> Plan:
 
 
 def rehearsing(plan: Plan, task: Task, rate_hz: float, speed: float) -> Plan:
-    """All movements of a plan with empty jaws, at a share of their speed, and what they show.
+    """Plan of a dry run: all movements with empty jaws, at a share of their speed, and checks.
 
     rate_hz  of the arm
     raises   ValueError: a speed that is not > 0 and ≤ 1

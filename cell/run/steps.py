@@ -61,7 +61,7 @@ LONGEST_LEAD_S = 3.0
 #: A cable rests if its tip stays within so much of its place, m: a twentieth of a pixel, or the
 #: noise if that is more.  No cable of a few decimetres swings longer than this, s.
 RESTING_M, LONGEST_SWING_S = 1e-5, 30.0
-#: What ends a simulation of a cable that the model makes impossible.
+#: Errors of a simulation with impossible parameters.
 IMPOSSIBLE = (DivergedError, UnsettledError)
 
 
@@ -374,7 +374,7 @@ def execute(station: Station, findings: Findings) -> Findings:
             corrector.close()
         findings = replace(findings, tails=corrector.tails)
         findings = replace(findings, stopped=corrector.stopped)
-        if corrector.tails:  # else what was planned is what the model is judged by
+        if corrector.tails:  # without corrections the planned path is the prediction
             findings = replace(findings, predicted=corrector.predicted)
     (trial,) = findings.trials
     trials = (trial, executed_trial(trial, required(findings.held), executed))
@@ -407,7 +407,7 @@ def review_insertion(station: Station, findings: Findings, paused: bool) -> Find
 def bring_back(station: Station, findings: Findings) -> Findings:
     """Bring a cable that was stopped slowly to where it was grasped, until it rests.
 
-    How long it swings its own model says, with what the gripper has done since it was lowered.
+    Its model predicts the time of the swing, from the gripper's motion since the cable was lowered.
     raises  DeviceTimeoutError: the arm does not come to rest
     """
     task, arm, clock = station.task, station.devices.arm, station.devices.clock
@@ -444,7 +444,7 @@ def let_go(station: Station, findings: Findings) -> Findings:
     return findings
 
 
-# --- what the steps share -----------------------------------------------------------------------
+# --- shared by the steps ------------------------------------------------------------------------
 
 
 def is_past(station: Station, t_s: float) -> bool:

@@ -75,7 +75,7 @@ def read_film(
 
     film           a folder of pictures, see `drivers.files`, or a video
     poses          CSV: t_s, x_m, y_m, angle_rad
-    frame_rate_hz  None = as `frames.csv` or the video says
+    frame_rate_hz  None = that of `frames.csv` or the video
     first_frame_s  added to the film's times: when its first frame was exposed, on the poses' clock
     raises         InputError: a file cannot be read, or the two do not belong together
     """
@@ -138,7 +138,7 @@ def _frames(film: Path, frame_rate_hz: float | None) -> tuple[float, list[Frame]
 
 
 def _rests_from(poses: Path, hand: Trajectory, begin_s: float) -> float:
-    """Since when the gripper is where it ends.  Raises InputError: it never moves in the film."""
+    """Time from which the gripper rests.  Raises InputError: it never moves in the film."""
     away_m = np.hypot(hand.x_m - hand.x_m[-1], hand.y_m - hand.y_m[-1])
     turned = np.abs(hand.angle_rad - hand.angle_rad[-1])
     filmed = hand.t_s >= begin_s
@@ -153,7 +153,7 @@ def _rests_from(poses: Path, hand: Trajectory, begin_s: float) -> float:
     return float(hand.t_s[min(moving[-1] + 1, len(hand.t_s) - 1)])
 
 
-#: From here an offset can be chosen: so far the gripper may be from where insertions begin, m and
+#: Largest distance of the gripper from the start of insertions at which an offset is chosen, m and
 #: rad.
 NEAR_M, NEAR_RAD = 1e-3, 5e-3
 
@@ -165,9 +165,9 @@ def record_film(
     target: Path,
     on_step: Callable[[int, str], None] = lambda number, step: None,
 ) -> Result:
-    """Write a recording of a film, with what vision and identification make of it.
+    """Write a recording of a film, with the results of vision and identification.
 
-    If the gripper ends where insertions begin, an offset is chosen too, which nobody executes.
+    If the gripper ends where insertions begin, an offset is chosen too, but not executed.
 
     config   of the settings
     target   file of the recording

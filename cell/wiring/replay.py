@@ -37,7 +37,7 @@ def replayed_devices(
 ) -> tuple[Devices, Callable[[int, str], None]]:
     """Devices of a recorded cycle, and a function that sets their clock as a step begins.
 
-    raises  InputError: the recording lacks what a replay needs
+    raises  InputError: the recording lacks data that a replay needs
     """
     task, filming = recording.last(form.TASK), recording.last(form.FILMING)
     if task is None or filming is None:

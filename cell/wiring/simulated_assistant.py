@@ -1,4 +1,4 @@
-"""Shows board and plumb line to the camera of a cell that is not real."""
+"""Shows board and plumb line to the camera of a simulated or emulated cell."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def plumb_line(x_m: float, y_m: tuple[float, float]) -> Patches:
 def board_poses(
     board: Board, count: int, rng: np.random.Generator, middle_m: FloatArray, depth_m: float
 ) -> list[FloatArray]:
-    """(4, 4) poses in which a person holds a board: about a place, tilted to all sides.
+    """(4, 4) poses of a board held by a person: around a point, tilted in all directions.
 
     depth_m  how far it is moved towards the camera and back
     """
@@ -83,7 +83,7 @@ def photograph_board(
     options: RenderOptions,
     rng: np.random.Generator,
 ) -> Image:
-    """Picture of what is shown, without the gripper."""
+    """Picture of the patches, without the gripper."""
     behind = backdrop(patches, eye, options)
     return render(None, None, eye, options, rng, behind=behind)
 
@@ -137,5 +137,5 @@ class SimulatedAssistant:
         return True
 
     def clear(self) -> None:
-        """Take everything away."""
+        """Remove all objects."""
         self._stage(Staging())

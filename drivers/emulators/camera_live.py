@@ -48,7 +48,7 @@ class ArmScene:
     """Makes a `LiveScene` in front of an emulated arm; picklable.
 
     host, mount, model, tcp  as of the arm's driver
-    camera                   where the camera really stands, and what its pictures look like
+    camera                   true pose of the camera, and appearance of its pictures
     """
 
     host: str
@@ -96,7 +96,7 @@ class LiveScene:
             self.keep_up()
 
     def notify(self, message: object) -> None:
-        """What makes a `LiveCable` = gripped; None = let go; a `Staging` = shown from now on.
+        """A factory of a `LiveCable` = gripped; None = let go; a `Staging` = shown from now on.
 
         raises  TypeError: anything else
         """

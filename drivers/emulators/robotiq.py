@@ -24,7 +24,7 @@ _CLOSED_COUNT = 230.0  # where empty jaws meet
 
 @dataclass
 class RobotiqFaults:
-    """What goes wrong; set at any time."""
+    """Faults of the emulated gripper; may be set at any time."""
 
     silent: bool = False
     bad_crc: bool = False
@@ -37,7 +37,7 @@ class RobotiqFaults:
 class Jaws:
     """Registers and motion of the gripper, without its serial line.
 
-    object_count  where the jaws meet what is between them; None = nothing there
+    object_count  count at which the jaws meet an object; None = no object
     """
 
     object_count: float | None = None

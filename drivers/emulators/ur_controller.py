@@ -85,7 +85,7 @@ class _Watchdog:
 
 @dataclass(frozen=True)
 class ControllerEvent:
-    """Something that happened, at `t_s` of this computer's monotonic clock."""
+    """An event, at `t_s` of this computer's monotonic clock."""
 
     t_s: float
     what: str
@@ -124,9 +124,9 @@ class Controller:
         self._posed_at: tuple[object, object] = (None, None)  # joints and tool of `_posed`
         self._posed: list[float] = []
 
-    def note(self, what: str) -> None:
+    def note(self, text: str) -> None:
         """Remember an event."""
-        self.events.append(ControllerEvent(time.monotonic(), what))
+        self.events.append(ControllerEvent(time.monotonic(), text))
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -168,7 +168,7 @@ class Controller:
     # --- programs -----------------------------------------------------------------------------
 
     def upload(self, text: str) -> None:
-        """Take a program; only ur-rtde's own command loop can run."""
+        """Accept a program; only ur-rtde's own command loop can run."""
         if self.safety is not Safety.NORMAL or self.robot_mode != _RUNNING:
             self.note(f"upload refused: {self.safety}, {_ROBOT_MODES[self.robot_mode]}")
             return
@@ -191,7 +191,7 @@ class Controller:
         self.note("program started")
 
     def end_program(self, why: str) -> None:
-        """Give up the program, if there is one; the arm comes to rest."""
+        """End the program, if there is one; the arm comes to rest."""
         self._uploaded = None
         self._watchdog = None
         self._servo_s = None
@@ -231,7 +231,7 @@ class Controller:
         self.robot_mode = _POWER_OFF
 
     def clear_safety(self) -> None:
-        """What a person does at the pendant: release, unlock, power on."""
+        """Release, unlock and power on, as a person does at the pendant."""
         self.safety = Safety.NORMAL
         self.robot_mode = _RUNNING
         self.note("safety cleared")
@@ -300,12 +300,12 @@ class Controller:
         return self.reader(names)()
 
     def reader(self, names: Sequence[str]) -> Callable[[], list[Value]]:
-        """What gives the values of output variables, again and again: 500 times a second."""
+        """Function that returns the values of output variables, for 500 calls a second."""
         getters = [_getter(name) for name in names]
         return lambda: [get(self) for get in getters]
 
     def pose(self) -> list[float]:
-        """The tool's pose, worked out anew only if something has moved."""
+        """The tool's pose, computed again only after a motion."""
         at = self.joints.q_rad, self.joints.X_FT
         if at[0] is not self._posed_at[0] or at[1] is not self._posed_at[1]:
             self._posed_at, self._posed = at, pose_of(self.joints.tool()).tolist()
@@ -424,7 +424,7 @@ _GETTERS: Mapping[str, _Getter] = {
 
 
 def _getter(name: str) -> _Getter:
-    """What gives an output variable; 0 for those that are not emulated."""
+    """Function that returns an output variable; 0 for those that are not emulated."""
     if (register := _REGISTER.fullmatch(name)) is not None:
         attribute = f"{register[2]}_{register[1]}"
         index = int(register[3])

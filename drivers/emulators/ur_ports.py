@@ -77,7 +77,7 @@ class PortConnection:
         """Act on bytes from the client."""
 
     def cycle(self, number: int) -> None:
-        """Say what is due in this controller cycle."""
+        """Send the reports that are due in this controller cycle."""
 
     def send(self, data: bytes) -> None:
         """Send without ever waiting."""

@@ -50,7 +50,7 @@ class Registers:
 
 @dataclass
 class Effects:
-    """Callbacks for what the program does beyond moving joints and writing registers."""
+    """Callbacks for effects of the program other than motions and register writes."""
 
     protective_stop: Callable[[str], None]
     watch: Callable[[int, float], None]  # register, lowest frequency in Hz

@@ -14,7 +14,7 @@ from typing import Self
 from drivers.emulators.robotiq import Jaws
 from drivers.threads import GuardedThread, only_logged
 
-#: Register, first bit and bits of what may be written, and read.
+#: Register, first bit and bits of the writable variables, and of the readable ones.
 _WRITTEN = {
     "ACT": (0x3E8, 8, 1),
     "GTO": (0x3E8, 11, 1),

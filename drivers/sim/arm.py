@@ -28,9 +28,9 @@ _NOISE_BLOCK = 1024
 
 @dataclass(frozen=True)
 class ArmFaults:
-    """What goes wrong with an arm; times on the cell's clock, None = never.
+    """Faults of an arm; times on the cell's clock, None = never.
 
-    Silence lasts until `faults` is set anew, a controller's stop until somebody `acknowledge`s it.
+    Silence lasts until `faults` is set again, a controller's stop until `acknowledge`.
     """
 
     refuses_to_connect: bool = False
@@ -103,7 +103,7 @@ class SimArm:
 
     @property
     def lag_s(self) -> float:
-        """Delay between a commanded and the executed pose that the arm admits to, s."""
+        """Delay between a commanded and the executed pose, as reported, s."""
         return self._options.lag_s
 
     @property
@@ -113,7 +113,7 @@ class SimArm:
 
     @property
     def faults(self) -> ArmFaults:
-        """What goes wrong; set it at any time."""
+        """Active faults; may be set at any time."""
         return self._faults
 
     @faults.setter

@@ -60,18 +60,18 @@ class CameraTwinOptions:
 
 @dataclass(frozen=True, eq=False)
 class Staging:
-    """What is shown to the simulated camera, a board or thread, and whether the jaw is in view."""
+    """Objects in front of the simulated camera, and whether the jaw is in view."""
 
     patches: tuple[Patches, ...] = ()
     jaw: bool = True
 
     def light(self, options: CameraTwinOptions) -> LightArray | None:
-        """(H, W) light of it in the empty scene, to be drawn once; None = nothing is shown."""
+        """(H, W) light of the scene with the objects, to be drawn once; None = there are none."""
         return backdrop(self.patches, options.sight, options.picture) if self.patches else None
 
 
 class SimCamera:
-    """A camera in a simulated world; a frame costs nothing until it is read."""
+    """A camera in a simulated world; frames are rendered only when read."""
 
     def __init__(
         self, world: SimWorld, options: CameraTwinOptions, seed: int = 0, name: str = "camera"
@@ -97,7 +97,7 @@ class SimCamera:
         return self._options.frame_rate_hz
 
     def stage(self, staging: Staging) -> None:
-        """Show something from now on."""
+        """Show these objects from now on."""
         self._staging, self._behind = staging, staging.light(self._options)
 
     def redraw(self, picture: RenderOptions) -> None:

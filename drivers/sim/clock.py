@@ -20,8 +20,8 @@ class SimClock:
 
     One thread lets time pass; others may read it and act on devices meanwhile.
 
-    real_time_factor  None = at once; 1.0 = at the speed of reality; 10.0 = ten times.  What the
-                      computer takes for its own work meanwhile passes too, as in reality.
+    real_time_factor  None = at once; 1.0 = at the speed of reality; 10.0 = ten times.  The
+                      computing time passes too, as in reality.
     """
 
     def __init__(self, start_s: float = 0.0, real_time_factor: float | None = None) -> None:

@@ -21,9 +21,9 @@ _LOST_REMEDY = "check the gripper's cable and power, then connect again"
 
 @dataclass(frozen=True)
 class GripperFaults:
-    """What goes wrong with a gripper; times on the cell's clock, None = never.
+    """Faults of a gripper; times on the cell's clock, None = never.
 
-    Lasts until `faults` is set anew.
+    They last until `faults` is set again.
     """
 
     refuses_to_connect: bool = False
@@ -61,7 +61,7 @@ class SimGripper:
 
     @property
     def faults(self) -> GripperFaults:
-        """What goes wrong; set it at any time."""
+        """Active faults; may be set at any time."""
         return self._faults
 
     @faults.setter

@@ -84,7 +84,7 @@ class Patches:
 
     corners_m  (P, V, 2 or 3) convex polygons, 3 only for a `Pinhole`, m
     levels     (P,) light that each adds
-    hides      (P,) share of what is behind that each hides: 0 = only adds its level
+    hides      (P,) share of the background that each hides: 0 = only adds its level
     """
 
     corners_m: FloatArray
@@ -127,7 +127,7 @@ def render(
     rng             noise of this frame
     rates           for motion blur; the frame's time is the middle of the exposure
     second_cable_m  (K, 2) another cable in the picture
-    behind          what stands behind, by `backdrop`; None = the empty scene
+    behind          background, by `backdrop`; None = the empty scene
     returns         (height_px, width_px) uint8
     raises          ValueError: shapes disagree
     """
@@ -165,7 +165,7 @@ def render(
 def backdrop(patches: Sequence[Patches], sight: Sight, options: RenderOptions) -> LightArray:
     """(height_px, width_px) light of the scene with patches in it, the nearest last.
 
-    A board has a thousand of them: whoever photographs it again and again draws it once.
+    A board has a thousand patches, so for several pictures it is drawn only once.
     """
     polygons = _Polygons(sight)
     for patch in patches:
@@ -240,9 +240,9 @@ class _Polygons:
         self.add(quads, options.cable_level * glints, 1.0, weight)
 
     def drawn_over(self, background: LightArray, blur_px: float) -> _Part | None:
-        """The part of the background that is drawn over, seen through the lens; None = nothing is.
+        """The part of the background that is drawn over, blurred by the lens; None = nothing is.
 
-        Pictures are mostly background: to copy all of it took as long as to expose it.
+        Most of a picture is background: copying all of it would take as long as its exposure.
         """
         if not self._corners_m:
             return None

@@ -18,7 +18,7 @@ MIN_POINTS = 60
 
 
 class CableShape(Protocol):
-    """Physics of one cable, as the world needs it."""
+    """Interface of the physics of a cable in the simulated world."""
 
     def __call__(self, grip: Trajectory, query_s: FloatArray) -> FloatArray:
         """Shapes of the cable while its gripping point moves along `grip`.
@@ -60,8 +60,8 @@ class _Held:
 class SimWorld:
     """Simulated cell: one hand, the cables waiting for it, and the one that it holds.
 
-    The cable is simulated ahead, once per motion, and stored on a grid of times; whatever changes
-    the committed motion drops the part of the grid that it makes untrue.
+    The cable is simulated ahead, once per motion, and stored on a grid of times; a change of
+    the committed motion drops the affected part of the grid.
 
     clock    simulated time
     home     pose of the gripping point at the start

@@ -10,7 +10,7 @@ from cell.plant.messages import Status
 from cell.records.result import Outcome
 from cell.run.machine import CellState, MachineEvent
 
-#: A cycle, or what ends it, is under way.
+#: States of a cycle, or of its end.
 _BUSY = frozenset(
     {
         CellState.STARTING,
@@ -113,7 +113,7 @@ class PlcInputs:
 
     @property
     def is_acknowledged(self) -> bool:
-        """Whether Stopped is acknowledged: now, or by what has just cleared Aborted.
+        """Whether Stopped is acknowledged: now, or by the edge that has just cleared Aborted.
 
         A stop that is on takes precedence, because the gripper would go home.
         """

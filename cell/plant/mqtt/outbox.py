@@ -1,7 +1,7 @@
 """Queue of notices for a broker: a file next to the records, which outlives the adapter.
 
-A notice is written with its place in the order of the cell in one transaction, before anybody tries
-to deliver it.  It is removed when the broker has acknowledged it.
+A notice is written with its place in the order of the cell in one transaction, before its
+delivery.  It is removed when the broker has acknowledged it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cell.plant.messages import MessageKind, Notice
 
 _LOG = logging.getLogger(__name__)
 
-#: Dropped in this order when too many wait; results are not among them.
+#: Kinds that are dropped, in this order, when too many wait; never results.
 _DROPPED = (
     (
         MessageKind.STATE,
@@ -31,7 +31,7 @@ _DROPPED = (
     ),
     (MessageKind.ACKNOWLEDGED, MessageKind.FAULT),
 )
-#: So large a part of the most that may wait is dropped at once.
+#: Share of the queue's limit that is dropped at once.
 _DROPPED_SHARE = 0.01
 
 _TABLES = """
@@ -54,7 +54,7 @@ class OutboxError(OSError):
 class Waiting:
     """A queued notice.
 
-    number  in the outbox; none has that of another, even if that was removed
+    number  in the outbox, unique even after removals
     """
 
     number: int
@@ -71,7 +71,7 @@ class MqttOutbox:
     """Queue of notices; safe to be used from several threads of one process.
 
     path  of the file, which is made if it is missing
-    most  beyond so many the oldest that are not results are dropped
+    most  limit of the queue; beyond it the oldest notices that are not results are dropped
 
     raises  OutboxError, here and from every method: another adapter has it, or the disk is full
     """
@@ -85,11 +85,11 @@ class MqttOutbox:
             self._database = sqlite3.connect(
                 path, timeout=0.0, isolation_level=None, check_same_thread=False
             )
-            # whoever has the file keeps it until its process ends, however that ends
+            # the lock lasts until the end of the process, even after a crash
             self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
             self._database.execute("PRAGMA journal_mode = WAL")
             self._database.execute("PRAGMA synchronous = FULL")
-            self._database.execute("BEGIN EXCLUSIVE")  # taken here, and not at the first notice
+            self._database.execute("BEGIN EXCLUSIVE")  # lock it here, not at the first notice
             self._database.execute("COMMIT")
             self._database.executescript(_TABLES)
             self._count = self._counted()
@@ -102,7 +102,7 @@ class MqttOutbox:
         return self._path
 
     def put(self, notice: Notice) -> None:
-        """Add a notice, as the newest that was taken from the cell."""
+        """Add a notice, as the newest one received from the cell."""
         data = json.dumps(notice.data, ensure_ascii=False)
         row = (notice.run, notice.sequence, notice.time_s, notice.kind.value, data)
         with self._writing():
@@ -128,7 +128,7 @@ class MqttOutbox:
         return Waiting(number, Notice(run, sequence, time_s, MessageKind(kind), json.loads(data)))
 
     def remove(self, waiting: Waiting) -> None:
-        """It was delivered."""
+        """Remove a delivered notice."""
         with self._writing():
             removed = self._database.execute(
                 "DELETE FROM waiting WHERE number = ?", (waiting.number,)
@@ -141,10 +141,10 @@ class MqttOutbox:
             row = self._database.execute("SELECT run, sequence FROM taken").fetchone()
         return None if row is None else (row[0], row[1])
 
-    def start_after(self, taken: tuple[str, int]) -> None:
-        """What came before this run and sequence is not to be had."""
+    def start_after(self, position: tuple[str, int]) -> None:
+        """Store this run and sequence as the newest: earlier notices are not available."""
         with self._writing():
-            self._database.execute("INSERT OR REPLACE INTO taken VALUES (1, ?, ?)", taken)
+            self._database.execute("INSERT OR REPLACE INTO taken VALUES (1, ?, ?)", position)
 
     def count(self) -> int:
         """Number of notices that wait."""
@@ -152,7 +152,7 @@ class MqttOutbox:
             return self._count
 
     def counter(self, name: str) -> int:
-        """A number that survives; 0 if it was never counted."""
+        """A persistent counter; 0 if it was never incremented."""
         with self._reading():
             row = self._database.execute(
                 "SELECT value FROM counters WHERE name = ?", (name,)
@@ -160,22 +160,22 @@ class MqttOutbox:
         return 0 if row is None else int(row[0])
 
     def count_up(self, name: str) -> int:
-        """The number after this one was added."""
+        """Increment a counter; returns its new value."""
         with self._writing():
             self._add(name, 1)
         return self.counter(name)
 
     def dropped(self) -> int:
-        """Notices that were dropped so far."""
+        """Number of notices dropped so far."""
         return self.counter("dropped")
 
     def close(self) -> None:
-        """Give the file up."""
+        """Close the file."""
         with self._lock:
             self._database.close()
 
     def _drop(self) -> None:
-        """Remove the oldest that may be, some at a time."""
+        """Remove the oldest droppable notices, some at a time."""
         most = max(1, round(_DROPPED_SHARE * self._most))
         for kinds in _DROPPED:
             marks = ", ".join("?" * len(kinds))
@@ -198,7 +198,7 @@ class MqttOutbox:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Alone with the file."""
+        """Hold the lock of the file."""
         with self._lock:
             try:
                 yield
@@ -207,7 +207,7 @@ class MqttOutbox:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Alone with the file; all that is written, or nothing."""
+        """Hold the lock of the file, in one transaction."""
         with self._reading():
             self._database.execute("BEGIN IMMEDIATE")
             try:

@@ -1,4 +1,4 @@
-"""Topics of plain JSON: `{prefix}/{line}/{what}`, one object each."""
+"""Topics of plain JSON: `{prefix}/{line}/{topic}`, one object each."""
 
 from __future__ import annotations
 

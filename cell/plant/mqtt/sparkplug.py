@@ -243,7 +243,7 @@ class EdgeNode:
         return [Message(self._topic("NBIRTH"), encode(metrics, at_ms, self._seq), 0)]
 
     def of_notice(self, notice: Notice) -> list[Message]:
-        """Metrics of what has happened; historical if a later birth contains them already."""
+        """Metrics of a notice; historical if a later birth contains them already."""
         late = self._contained is not None and (
             notice.run != self._contained[0] or notice.sequence <= self._contained[1]
         )

@@ -131,7 +131,7 @@ _LOG = logging.getLogger(__name__)
 caller: ContextVar[str] = ContextVar("caller", default="")
 
 ANONYMOUS = "anonymous"
-#: Sessions that say nothing end after so long, s: what waits for a stalled client is dropped.
+#: Timeout of silent sessions, s: messages waiting for a stalled client are dropped.
 _SESSION_S = 60.0
 #: So many notifications of one item wait for a client.
 _WAITING = 1000
@@ -216,7 +216,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
             caller.reset(token)
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
-        """No node has a history: what was is in the ledger."""
+        """No node has a history: the ledger has it."""
         none = ua.StatusCode(ua.StatusCodes.BadHistoryOperationUnsupported)
         unknown = ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)
         known = (node.NodeId in self.aspace for node in params.NodesToRead)

@@ -60,7 +60,7 @@ class Transitions:
         return cls(space, unit, generators)
 
     async def publish(self, before: PackmlView, after: PackmlView, at_s: float) -> None:
-        """Tell of the transition between two views, at a Unix time."""
+        """Publish the transition between two views, at a Unix time."""
         if before.status is None or after.status is None:
             return
         was, now = before.status.state, after.status.state
@@ -84,21 +84,21 @@ class Transitions:
 
 _LOG = logging.getLogger(__name__)
 
-#: Namespace of what PackML has no name for.
+#: Namespace of nodes that PackML does not define.
 OWN_URI = "urn:cable-cell:opcua"
-#: Times are shown anew so often, s.
+#: Interval at which times are updated, s.
 _TICK_S = 1.0
 #: Pause before a cell of another version is contacted again, s.
 _AGAIN_S = 5.0
 
 
 class _CellReturned(Enum):
-    """A cell that was lost is there again, as it was."""
+    """A lost cell is reached again, unchanged."""
 
     AGAIN = "again"
 
 
-#: What the thread that follows hands over; None = the cell was lost.
+#: Message of the thread that follows; None = the cell was lost.
 _Message = Notice | Status | _CellReturned | None
 
 _PLAIN = ua.SecurityPolicyType.NoSecurity
@@ -116,8 +116,8 @@ def serve(
     runs    folder of the cell's records
     ready   called with the address once clients may connect
     users   file of the users
-    raises  ValueError: no section `plant.opcua`, the address cannot be listened at, or the folder
-            cannot be written; the message says what to do
+    raises  ValueError: no section `plant.opcua`, the server cannot listen at the address, or the
+            folder cannot be written; the message has the remedy
     """
     asyncio.run(_until_stopped(settings, runs, ready, users))
 
@@ -135,7 +135,7 @@ async def _until_stopped(
 
 @asynccontextmanager
 async def running(settings: Settings, runs: Path, users: Path = USERS) -> AsyncIterator[str]:
-    """The server, as long as the `with` lasts; gives its address.  Raises ValueError as `serve`."""
+    """The server within a `with`; yields its address.  Raises ValueError as `serve`."""
     opcua = None if settings.plant is None else settings.plant.opcua
     if opcua is None:
         raise ValueError("the settings have no section plant.opcua; add one, it may be empty: {}")
@@ -215,18 +215,18 @@ async def _listen(server: TimedServer, opcua: OpcUa) -> None:
 
 
 class _ViewPublisher:
-    """What is shown to clients: the view of the cell, and how it goes on."""
+    """Publishes the view of the cell and its transitions to clients."""
 
     def __init__(self, unit: Unit, transitions: Transitions) -> None:
         self.view = PackmlView()
         self.closed = False
         self._unit, self._transitions = unit, transitions
         self._loop = asyncio.get_running_loop()
-        self._heard: asyncio.Queue[_Message] = asyncio.Queue()
-        self._turn = asyncio.Lock()
+        self._messages: asyncio.Queue[_Message] = asyncio.Queue()
+        self._lock = asyncio.Lock()
 
     def follow(self, client: Client) -> None:
-        """Hear what happens, in a thread, until the client is closed."""
+        """Receive messages of the cell, in a thread, until the client is closed."""
         while not self.closed:
             try:
                 for message in client.follow():
@@ -237,41 +237,41 @@ class _ViewPublisher:
                 time.sleep(_AGAIN_S)
 
     def lost(self) -> None:
-        """The cell is there no more; from the thread that follows."""
+        """The cell is lost; called in the thread that follows."""
         _LOG.warning("the cell has ended, or was lost")
         self._receive(None)
 
     def reconnected(self) -> None:
-        """It is there again as it was; from the thread that follows."""
+        """The cell is reached again, unchanged; called in the thread that follows."""
         _LOG.warning("the cell is there again")
         self._receive(_CellReturned.AGAIN)
 
     def _receive(self, message: _Message) -> None:
-        with suppress(RuntimeError):  # the loop is closed: nobody looks any more
-            self._loop.call_soon_threadsafe(self._heard.put_nowait, message)
+        with suppress(RuntimeError):  # the loop is closed, with no client any more
+            self._loop.call_soon_threadsafe(self._messages.put_nowait, message)
 
     async def refused(self, reason: str) -> None:
-        """Show why a command was refused; empty = it was not."""
-        async with self._turn:
+        """Show the reason of a refusal; empty after an accepted command."""
+        async with self._lock:
             self.view = replace(self.view, refusal=reason)
             await self._unit.show(self.view, time.time(), time.monotonic())
 
     async def show(self) -> None:
-        """Show every message on its own, so that subscribers see each, and times now and then.
+        """Show every message separately, so that subscribers get each, and times at intervals.
 
-        Until it is cancelled or closed: `asyncio.wait_for` of Python 3.11 forgets that it was
-        cancelled if a message comes just then.
+        Not by `asyncio.wait_for`: in Python 3.11 it loses a cancellation that coincides with a
+        message.
         """
         await self._unit.show(self.view, time.time(), time.monotonic())
         while not self.closed:
             try:
                 async with asyncio.timeout(_TICK_S):
-                    message = await self._heard.get()
+                    message = await self._messages.get()
             except TimeoutError:
-                async with self._turn:
+                async with self._lock:
                     await self._unit.show(self.view, time.time(), time.monotonic())
                 continue
-            async with self._turn:
+            async with self._lock:
                 try:
                     await self._take(message)
                 except Exception:  # one message must not end the server
@@ -295,7 +295,7 @@ class _ViewPublisher:
 
 
 class _Forward(logging.Handler):
-    """Hands messages of the library to the log of this program."""
+    """Forwards messages of the library to the log of this program."""
 
     def emit(self, record: logging.LogRecord) -> None:
         logging.getLogger(f"{__package__}.library").handle(record)

@@ -202,7 +202,7 @@ def _unit(space: AddressSpace) -> None:
 
 
 def _namespace(space: AddressSpace) -> None:
-    """What the server says of the namespace of PackML."""
+    """Metadata of the namespace of PackML."""
     node = space.node_id(117)
     name = space.name(packml.URI)
     space.object(ua.NodeId(Ids.Server_Namespaces), node, name, Ids.NamespaceMetadataType)

@@ -105,7 +105,7 @@ class Unit:
             space.standard_property(node, id_, "EURange", "Range", ua.Range(0.0, 60.0))
 
     async def show(self, view: PackmlView, at_s: float, now_s: float) -> None:
-        """Write what has changed since it was shown last.
+        """Write the values that have changed since the last call.
 
         at_s   time of the source, Unix time
         now_s  the same moment on the computer's own clock

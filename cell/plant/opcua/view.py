@@ -31,7 +31,7 @@ class PackmlView:
     seconds       time spent in each state until `counted_s`
     entered_s     when the present state began
     started_s     when the cycle under way began; None = none is
-    cycle_s       what the last cycle took, s
+    cycle_s       duration of the last cycle, s
     faults        the newest first
     acknowledged  name and note of the last acknowledgement
     transitions   the newest of each state machine, by its level: name, and id if PackML knows it
@@ -116,7 +116,7 @@ class PackmlView:
         return seconds
 
     def _after_transition(self, before: PackmlView, now_s: float) -> PackmlView:
-        """This view, with what the transition of a state from the one before has changed."""
+        """This view, updated by the transition of the state from the former view."""
         assert before.status is not None
         assert self.status is not None
         level, name, known = transition_between(before.status.state, self.status.state)
