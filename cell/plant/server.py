@@ -168,9 +168,7 @@ class CommandServer:
                 while self._send_news(program):  # all that it can still read
                     pass
             program.writer.transport.abort()
-        while tasks := asyncio.all_tasks() - {
-            asyncio.current_task()
-        }:  # a task may begin a further one
+        while tasks := asyncio.all_tasks() - {asyncio.current_task()}:  # one may begin another
             await asyncio.gather(*tasks, return_exceptions=True)
         server.close()
 
