@@ -1,1 +1,1 @@
-"""What measures, tries and draws the cell: run as modules from the project's root."""
+"""Measurements, trials and figures of the cell: run as modules from the project's root."""

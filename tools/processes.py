@@ -1,4 +1,4 @@
-"""Processes that a study starts: their output, their ports, their end, and what they cost."""
+"""Processes that a study starts: output, ports, end and CPU time."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-#: Within so long a program is there, s: on a new computer it compiles.
+#: Time limit for the start of a program, s: on a new computer it compiles.
 _BEGIN_S = 180.0
 
 
 def free_port() -> int:
-    """A port of loopback that nobody listens at now."""
+    """A free port of loopback."""
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         return int(bound.getsockname()[1])
 
 
 class Program:
-    """A process whose lines are read as they come."""
+    """A process whose output is read continuously."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self.command = command
@@ -44,7 +44,7 @@ class Program:
             self.lines.extend(iter(stream.readline, ""))
 
     def until(self, text: str) -> None:
-        """Wait until it has said this.  Raises RuntimeError: it has ended, or did not in time."""
+        """Wait for a text in its output.  Raises RuntimeError: it has ended, or timed out."""
         wait_until(lambda: any(text in line for line in self.lines), self)
 
     def end(self) -> None:
@@ -95,7 +95,7 @@ def running(*words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 @contextmanager
 def busy_cores(count: int) -> Iterator[None]:
-    """So many processes that each keep a core busy."""
+    """Run `count` processes that each keep a core busy."""
     command = [sys.executable, "-c", "while True: pass"]
     busy = [subprocess.Popen(command) for _ in range(count)]
     try:
@@ -108,17 +108,17 @@ def busy_cores(count: int) -> Iterator[None]:
 
 def family(process: int) -> list[int]:
     """A process and all its descendants, by /proc."""
-    found = [process]
-    for parent in found:
+    processes = [process]
+    for parent in processes:
         for file in Path(f"/proc/{parent}/task").glob("*/children"):
             try:
-                found += map(int, file.read_text().split())
+                processes += map(int, file.read_text().split())
             except OSError:  # it has ended
                 continue
-    return found
+    return processes
 
 
 def own_cpu_s() -> float:
-    """CPU time of this process and of those that it started and that have ended, s."""
+    """CPU time of this process and of its ended children, s."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(u.ru_utime + u.ru_stime for u in used)

@@ -2,9 +2,9 @@
 
     python -m tools.quick [--since HEAD]
 
-Prints files of tests: those that were changed, those that import a changed module, those that
-import a module which does, and those of the rules for all code.  Whole cells and pages
-(`end_to_end`, `docs`) are left to `make test`.
+Prints files of tests: changed ones, those that import a changed module directly or by one further
+module, and those of the rules for all code.  Tests of complete cells and pages (`end_to_end`,
+`docs`) are left to `make test`.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ def changed_files(root: Path, since: str) -> list[str]:
 
     raises  SystemExit: git knows no such commit, or no project
     """
-    found = []
+    names = []
     for words in (("diff", "--name-only", since), ("ls-files", "--others", "--exclude-standard")):
         done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(f"--since {since}: {done.stderr.strip()}")
-        found += done.stdout.split("\n")
-    return [name for name in found if name]
+        names += done.stdout.split("\n")
+    return [name for name in names if name]
 
 
 def imported_by(file: Path, package: str = "") -> Iterator[str]:
@@ -62,7 +62,7 @@ def touched(
     """Affected files of tests, the nearest first.
 
     changed         files
-    modules, tests  module → what it imports; file of tests → what it imports
+    modules, tests  module → its imports; file of tests → its imports
     """
     near = {module_of(name) for name in changed if name.endswith(".py")}
     far = {name for name, imports in modules.items() if imports & near} - near
@@ -76,14 +76,14 @@ def touched(
 
 
 def _imports(root: Path, files: Iterable[Path]) -> dict[str, set[str]]:
-    found = {}
+    imports = {}
     for file in sorted(files):
         name = file.relative_to(root).as_posix()
         package = (
             module_of(name) if file.name == "__init__.py" else module_of(name).rpartition(".")[0]
         )
-        found[name] = set(imported_by(file, package))
-    return found
+        imports[name] = set(imported_by(file, package))
+    return imports
 
 
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> None:
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> None:
     parser.add_argument("--since", default="HEAD", help="commit that a change begins after")
     since = parser.parse_args(arguments).since
     sources = (file for room in ROOMS for file in (root / room).rglob("*.py"))
-    modules = {module_of(name): taken for name, taken in _imports(root, sources).items()}
+    modules = {module_of(name): imported for name, imported in _imports(root, sources).items()}
     files = [
         file
         for file in (root / "tests").rglob("test_*.py")

@@ -51,31 +51,31 @@ _LOG = logging.getLogger(__name__)
 #: A study, or the folder of one or of a recorded cycle.
 StudyOrFolder = Study | Path | str
 T = TypeVar("T")
-#: Told of what is odd about a study, one sentence each.
+#: Callback that receives notes on what is odd about a study, one sentence each.
 Tell = Callable[[Sequence[str]], None]
 
 
-def several(given: Sequence[T]) -> tuple[T, ...]:
+def several(values: Sequence[T]) -> tuple[T, ...]:
     """The argument as a tuple; a single value, such as one name, becomes a tuple of one.
 
     raises  TypeError: a table, of which only the names would count
     """
-    if isinstance(given, Mapping):
-        raise TypeError(f"{given!r} is a table; give a list, with sizes as text: ['air_drag=2']")
-    alone = isinstance(given, str) or not isinstance(given, Iterable)
-    return (given,) if alone else tuple(given)  # type: ignore[return-value]
+    if isinstance(values, Mapping):
+        raise TypeError(f"{values!r} is a table; give a list, with sizes as text: ['air_drag=2']")
+    alone = isinstance(values, str) or not isinstance(values, Iterable)
+    return (values,) if alone else tuple(values)  # type: ignore[return-value]
 
 
-def effect_names(given: Sequence[Path | str], argument: str = "effects") -> tuple[str, ...]:
+def effect_names(names: Sequence[Path | str], argument: str = "effects") -> tuple[str, ...]:
     """Effects' names and paths of users' files, as text.  Raises TypeError: one is neither."""
-    for each in (found := several(given)):
+    for each in (effects := several(names)):
         if not isinstance(each, str | Path):
             raise TypeError(f"{argument}: {each!r} is no effect; give a name, or a file.py")
-    return tuple(map(str, found))
+    return tuple(map(str, effects))
 
 
-def check_given(study: object) -> None:
-    """Raises TypeError: it is neither a study nor a folder."""
+def check_study_argument(study: object) -> None:
+    """Raise TypeError if it is neither a study nor a folder."""
     if not isinstance(study, Study | Path | str):
         raise TypeError(f"study: {study!r} is none; give its folder, or a Study")
 
@@ -86,7 +86,7 @@ def read_study(folder: Path | str) -> Study:
     raises  InputError: file, line, what is wrong, and how to mend it
             TypeError: it is no folder
     """
-    check_given(folder)
+    check_study_argument(folder)
     return open_study(Path(folder))
 
 
@@ -103,7 +103,7 @@ def fit(
     effects  part of the model: names of the library, or files of your own (`effect.py`)
     prior    model of an earlier cable, written by `FitResult.write`
     config   settings of a cell, whose `model` is the model to start from
-    progress told what is computed, and how much of it is done
+    progress callback that receives the current step, and how much of it is done
     raises   InputError, ValueError: study, effect or model is wrong, and how to mend it;
              FileNotFoundError: there is no such file of an effect
     """
@@ -119,15 +119,15 @@ def compare(
     """Compare models with every trial of a study.
 
     models  in the order in which they were made
-    names   under which they are shown, unlike each other; without: their effects
-    raises  InputError, ValueError: no model is given, or one is of another kind of cable, or
+    names   distinct labels of the models; default: their effects
+    raises  InputError, ValueError: there is no model, or one is of a different kind of cable, or
             cannot be read
     """
-    opened, given = opened_study(study), several(models)
-    if not given:
+    opened, sources = opened_study(study), several(models)
+    if not sources:
         raise ValueError("models: there is none; give one or more")
-    shown = [_model(m, opened) for m in given]
-    titles = _titles(given, shown) if names is None else list(several(names))
+    shown = [_model(m, opened) for m in sources]
+    titles = _titles(sources, shown) if names is None else list(several(names))
     if len(titles) != len(shown):
         raise ValueError(f"names: {len(titles)} for {len(shown)} models; give one for each")
     if names is not None and (twice := [n for n in titles if titles.count(n) > 1]):
@@ -150,11 +150,11 @@ def diagnose(
 ) -> DiagnoseResult:
     """Find the physical effect that the model lacks, if it lacks one.
 
-    effects  files of your own effects, tried beside the library
-    candidates  a folder of such files, of which those that cannot be used are left out, with a
-             warning; one that could do more than compute is not run
+    effects  files of your own effects, tried in addition to the library
+    candidates  a folder of such files; those that cannot be used are skipped with a warning;
+             one that could do more than compute is not run
     known    effects that are part of the model
-    checks   files of your own questions, asked beside those of the lab
+    checks   files of your own checks, in addition to those of the lab
     other arguments and errors as of `fit`
     """
     rules, tried = rules_with(several(checks)), list(effect_names(effects))
@@ -179,7 +179,7 @@ def suggest(
 ) -> SuggestResult:
     """Suggest the safe motion that best distinguishes the effects that may be missing.
 
-    effects  files of your own effects, tried beside the library; or `NAME`, `NAME=SIZE` of effects
+    effects  files of your own effects, added to the library; or `NAME`, `NAME=SIZE` of effects
              that the motion is to show, without a diagnosis
     config   settings of the cell, for its limits too; other arguments and errors as of `diagnose`
     """
@@ -194,9 +194,9 @@ def suggest(
     names, tried = split_effects(effect_names(effects))
     known = effect_names(known, "known")
     if names:
-        asked, selection = select_asked(names, known)
+        chosen, selection = select_asked(names, known)
         fits = set_up(study, selection, prior, config, progress)
-        return SuggestResult(showing_motion(fits, asked, around))
+        return SuggestResult(showing_motion(fits, chosen, around))
     fits = set_up(study, select_for_diagnosis(tried, known), prior, config, progress)
     examination = examine(fits)
     fits.work.renew()
@@ -216,16 +216,16 @@ def power(
     """Forecast which effects a diagnosis of a study like this would find, and from which size on.
 
     effects  `NAME`, `NAME=SIZE` or `NAME.PARAMETER=SIZE`, SIZE in the parameter's unit; without it
-             the smallest that is found
+             the smallest that is detected
     verify   copies of the study, the effect hidden in each, that are diagnosed
     motions  files of `cell suggest`, as if they had been recorded too and held out
     other arguments and errors as of `diagnose`
     """
-    asked, selection = select_asked(effect_names(effects), effect_names(known, "known"))
-    if not asked:
+    chosen, selection = select_asked(effect_names(effects), effect_names(known, "known"))
+    if not chosen:
         raise ValueError("effects: there is none; give one or more")
     fits = set_up(study, selection, None, config, progress)
-    return PowerResult(power_of(planned(fits, several(motions)), asked, verify, progress=progress))
+    return PowerResult(power_of(planned(fits, several(motions)), chosen, verify, progress=progress))
 
 
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
@@ -241,7 +241,7 @@ def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
 
 
 def silent(_: Sequence[str]) -> None:
-    """A `Tell` that shows nothing: the notes stay in the result's study."""
+    """A `Tell` that discards the notes; they stay in the result's study."""
 
 
 def set_up(
@@ -255,7 +255,7 @@ def set_up(
 ) -> FitCache:
     """The fits of a study, with the files of models and settings that are named.
 
-    work  that the study may take, and that whoever waits may stop; None = that of a diagnosis
+    work  budget of the study, which can be stopped from outside; None = that of a diagnosis
     """
     return set_up_opened(opened_study(study), selection, prior, config, progress, tell, work)
 
@@ -289,11 +289,11 @@ def set_up_opened(
 
 
 def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
-    """The best model of a study with the effects of the search's space; the study as fitted to.
+    """Best model of a study with the effects of its space, its fit, and the study as fitted to.
 
-    Where the model errs by more than the camera, its own error is taken for noise and the fit
-    repeated, so that the prior keeps a part in what the data then cannot tell.  Its correlation
-    widens the intervals and leaves the weight of the frames as it is.
+    Where the model error exceeds the camera noise, it is used as noise and the fit repeated, so
+    that the prior keeps its weight where the data are not informative.  The correlation of this
+    error widens the intervals and does not change the weights of the frames.
     """
     model, prepared = fits.base, fits.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, model.fit.rms_m * 1e3)
@@ -314,7 +314,7 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
 
 
 def fitted(fits: FitCache) -> FitResult:
-    """The model of a study that was made ready; interrupted, what is known by then."""
+    """The fitted model of a prepared study; if interrupted, the result so far."""
     fits = with_more_knots(fits, fits) or fits
     model, candidate, fitted_to = fit_study(fits)
     lacking = lacking_doubt(model.lacks)
@@ -352,14 +352,14 @@ def diagnosed(examination: Examination, folder: Path, *, every_step: bool = True
         known=tuple(e.name for e in in_model),
         accepted=tuple(e.name for e in examination.accepted.effects if e not in in_model),
     )
-    comparisons = _compared(fits, [c.fit.model for c in shown])
+    comparisons = _comparisons(fits, [c.fit.model for c in shown])
     if fits.work.spent:
         fits.work.conclude()  # for the page
     return DiagnoseResult(examination.diagnosis, comparisons, todo, examination)
 
 
-def _compared(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison, ...]:
-    """The models beside the trials; stopped, each begins as its first frames show it."""
+def _comparisons(fits: FitCache, models: Sequence[CableModel]) -> tuple[Comparison, ...]:
+    """Comparison of models with the trials; if stopped, initial states come from first frames."""
     study, work = fits.prepared.study, fits.work
     try:
         with work.stage("compare"):
@@ -378,32 +378,32 @@ def opened_study(study: StudyOrFolder) -> Study:
 
 
 def _place(study: StudyOrFolder) -> Path:
-    """As it stands in a command."""
+    """The study's folder as an argument of a command."""
     return Path("STUDY") if isinstance(study, Study) else Path(study)
 
 
-def _model(given: FitResult | Identified | Path | str, study: Study) -> Identified:
-    if isinstance(given, FitResult):
-        given = given.model
-    if isinstance(given, Path | str):
-        path, model = Path(given), read_model(Path(given), {})
-    elif isinstance(given, Identified):
-        path, model = Path("model"), given
+def _model(entry: FitResult | Identified | Path | str, study: Study) -> Identified:
+    if isinstance(entry, FitResult):
+        entry = entry.model
+    if isinstance(entry, Path | str):
+        path, model = Path(entry), read_model(Path(entry), {})
+    elif isinstance(entry, Identified):
+        path, model = Path("model"), entry
     else:
-        raise TypeError(f"models: {given!r} is none; give a result of `cell.fit` or a model's file")
+        raise TypeError(f"models: {entry!r} is none; give a result of `cell.fit` or a model's file")
     check_same_kind(path, model, study.cable)
     return model
 
 
 def _titles(
-    given: Sequence[FitResult | Identified | Path | str], models: Sequence[Identified]
+    sources: Sequence[FitResult | Identified | Path | str], models: Sequence[Identified]
 ) -> list[str]:
-    """Names of files without their endings, else the effects in a model; unlike each other."""
-    files = [Path(g) for g in given if isinstance(g, Path | str)]
-    of_files, found = iter(model_names(files)), list[str]()
-    for one, model in zip(given, models, strict=True):
+    """Distinct titles: names of files without suffix, else the effects in a model."""
+    files = [Path(g) for g in sources if isinstance(g, Path | str)]
+    of_files, titles = iter(model_names(files)), list[str]()
+    for source, model in zip(sources, models, strict=True):
         effects = " + ".join(e.name for e in model.space.effects) or "baseline"
-        name = next(of_files) if isinstance(one, Path | str) else effects
-        numbers = (f"{name} ({n})" for n in range(2, len(given) + 1))
-        found.append(next(n for n in (name, *numbers) if n not in found))
-    return found
+        name = next(of_files) if isinstance(source, Path | str) else effects
+        numbers = (f"{name} ({n})" for n in range(2, len(sources) + 1))
+        titles.append(next(n for n in (name, *numbers) if n not in titles))
+    return titles

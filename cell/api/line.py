@@ -26,7 +26,7 @@ class LearnResult(Shown):
     """The effect that a line's model lacks, by `cell.learn`.
 
     learned    the missing effects with their parameters, or that none is missing
-    judgement  the conditions of a candidate, with their statistics and limits
+    judgement  the gates of a candidate, with their statistics and limits
     settings   of the line
     left_out   cycles that could not be used, and why
     """
@@ -42,7 +42,7 @@ class LearnResult(Shown):
         return self.learned.best is not None and self.judgement.fit_for_line
 
     def parts(self) -> Sequence[str | TableData]:
-        """What was learned, what speaks for it, and the mean error of the forecasts."""
+        """Learned effects, their evidence, and the mean error of the forecasts."""
         common = common_error_line(self.judgement.paired)
         return (
             *learning_lines(self.learned),
@@ -51,8 +51,8 @@ class LearnResult(Shown):
         )
 
     def rows(self) -> list[Row]:
-        """A row per cycle: how it speaks for the effect, and its own value of it, SI units."""
-        return [asdict(one) for one in self.learned.cycle_evidence]
+        """A row per cycle: its evidence for the effect, and its own estimate, SI units."""
+        return [asdict(cycle) for cycle in self.learned.cycle_evidence]
 
     def write(self, path: Path | str) -> None:
         """Write the candidate for `cell promote`.  Raises ValueError: nothing is missing."""
@@ -75,8 +75,8 @@ def learn(
 
     runs     folders of cycles, or folders of such folders
     config   settings of the line
-    product  whose cycles these are; None = the usual one, or settings without products
-    effects  files of your own effects, tried beside the library
+    product  product of the cycles; None = the default one, or settings without products
+    effects  files of your own effects, tried in addition to the library
     raises   InputError, ValueError: no cycle can be used, or settings or effects are wrong
     """
     settings = load_product(Path(config), product)

@@ -79,11 +79,11 @@ class Shown:
     def __repr__(self) -> str:
         """The first sentence that the command prints."""
         sentences = [part for part in self.parts() if isinstance(part, str)]
-        said = sentences[0] if sentences else self.parts()[0]
-        return f"<{type(self).__name__}: {said if isinstance(said, str) else said.title}>"
+        first = sentences[0] if sentences else self.parts()[0]
+        return f"<{type(self).__name__}: {first if isinstance(first, str) else first.title}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """HTML for a notebook."""
         from cell.files.page import fragment  # templates: not needed without a notebook
 
         return fragment(self.parts())
@@ -102,8 +102,8 @@ if TYPE_CHECKING:
 class FitResult(Shown):
     """A model fitted to a study, by `cell.fit`.
 
-    prepared   the study made ready
-    weighed    the same as it was fitted to in the end
+    prepared   the prepared study
+    reestimated  the same with re-estimated noise, as in the final fit
     candidate  the fit: its `errors` are root mean square per coordinate, fitted and held out, m
     model      parameters with their 95 % intervals, in SI units
     warnings   reasons to doubt it
@@ -111,20 +111,20 @@ class FitResult(Shown):
     """
 
     prepared: PreparedStudy
-    weighed: PreparedStudy
+    reestimated: PreparedStudy
     candidate: FittedModel
     model: Identified
     warnings: tuple[Doubt, ...]
     agreement: tuple[Agreement, ...]
 
     def interrupted(self) -> FitResult:
-        """The same with the warning that not all was computed."""
+        """The same with a warning that the computation was interrupted."""
         doubt = ended_doubt(False, "the computations after the fit are missing or incomplete")
-        others = (w for w in self.warnings if w.code != doubt.code)
-        return replace(self, warnings=(doubt, *others))
+        warnings = (w for w in self.warnings if w.code != doubt.code)
+        return replace(self, warnings=(doubt, *warnings))
 
     def parts(self) -> Sequence[str | TableData]:
-        """Warnings, the error, the parameters, and how the trials agree."""
+        """Warnings, the error, the parameters, and the agreement of the trials."""
         apart: tuple[str | TableData, ...] = ()
         if self.agreement:
             apart = agreement_sentence(self.agreement), agreement_table(self.agreement)
@@ -153,12 +153,12 @@ class FitResult(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompareResult(Shown):
-    """Models beside the measurements, by `cell.compare`; in the order in which they were given."""
+    """Models compared with the measurements, by `cell.compare`, in the order of the arguments."""
 
     comparisons: tuple[Comparison, ...]
 
     def parts(self) -> Sequence[str | TableData]:
-        """What the models miss, then where the last one does."""
+        """Errors of the models, then the map of errors of the last one."""
         last = self.comparisons[-1]
         several = len(self.comparisons) > 1
         side_by_side = [comparisons_table(self.comparisons)] if several else []
@@ -187,31 +187,31 @@ class CompareResult(Shown):
     def residuals_m(self, model: int = -1) -> dict[str, FloatArray]:
         """Measured − predicted of one of the models by trial: (times, markers, 2), m.
 
-        nan where a marker was not seen
+        nan where a marker was not detected
         """
-        one = self.comparisons[model]
-        return {t.name: t.markers.xy_m - one.predicted_m[t.name] for t in one.study.trials}
+        trial = self.comparisons[model]
+        return {t.name: t.markers.xy_m - trial.predicted_m[t.name] for t in trial.study.trials}
 
     def write_residuals(self, folder: Path | str) -> list[Path]:
         """Write residuals as CSV, `MODEL/TRIAL.csv`: t_s, then dx and dy of each marker, m.
 
-        Of a wrench `MODEL/TRIAL_wrench.csv`: t_s, then force x, y, N, and moment, N·m, less the
-        likeliest tare.
+        For a wrench `MODEL/TRIAL_wrench.csv`: t_s, then force x, y, N, and moment, N·m, minus the
+        maximum-likelihood tare.
 
         returns  the files written
         """
         written = []
-        for number, one in enumerate(self.comparisons):
-            for trial in one.study.trials:
+        for number, residual in enumerate(self.comparisons):
+            for trial in residual.study.trials:
                 count = trial.markers.xy_m.shape[1]
                 heads = ["t_s", *(f"d{axis}{m}_m" for m in range(count) for axis in "xy")]
-                left_m = self.residuals_m(number)[trial.name].reshape(-1, 2 * count)
-                rows = np.column_stack([trial.markers.t_s, left_m])
-                path = Path(folder) / one.model.replace("/", "_") / f"{trial.name}.csv"
+                residual_m = self.residuals_m(number)[trial.name].reshape(-1, 2 * count)
+                rows = np.column_stack([trial.markers.t_s, residual_m])
+                path = Path(folder) / residual.model.replace("/", "_") / f"{trial.name}.csv"
                 written.append(_write_csv(path, heads, rows))
-            for w in one.wrenches:
+            for w in residual.wrenches:
                 rows = np.column_stack([w.t_s, w.measured - w.predicted])
-                path = Path(folder) / one.model.replace("/", "_") / f"{w.trial}_wrench.csv"
+                path = Path(folder) / residual.model.replace("/", "_") / f"{w.trial}_wrench.csv"
                 written.append(_write_csv(path, ["t_s", *COLUMNS], rows))
         return written
 
@@ -231,7 +231,7 @@ def _write_csv(path: Path, heads: Sequence[str], rows: FloatArray) -> Path:
 
 
 def _csv_row(row: FloatArray) -> str:
-    """Numbers to the last bit; what was not seen stays empty."""
+    """Numbers to the last bit; missing ones stay empty."""
     return ",".join("" if np.isnan(v) else repr(float(v)) for v in row)
 
 
@@ -240,9 +240,9 @@ class DiagnoseResult(Shown):
     """Which effect a model lacks, by `cell.diagnose`.
 
     diagnosis    verdict, effects with intervals, every check with its statistic and limit
-    comparisons  of the model as it was, and last with everything found
+    comparisons  of the initial model, and last of the model with all detected effects
     todo         what to do next
-    examination  the fits behind it
+    examination  the underlying fits
     """
 
     diagnosis: Diagnosis
@@ -252,12 +252,12 @@ class DiagnoseResult(Shown):
 
     @cached_property
     def model(self) -> Identified:
-        """The model with everything found, and its parameters' intervals."""
+        """The model with all detected effects, and its parameters' intervals."""
         fits = self.examination.fits
         return identified(fits.prepared, self.examination.path[-1].fit, fits.library.values())
 
     def parts(self) -> Sequence[str | TableData]:
-        """The answer, then what it rests on."""
+        """The verdict, then its evidence."""
         return diagnosis_parts(self.diagnosis, self.comparisons, self.todo)
 
     def to_json(self) -> dict[str, Any]:
@@ -265,11 +265,11 @@ class DiagnoseResult(Shown):
         return to_json(self.diagnosis)
 
     def rows(self) -> list[Row]:
-        """A row per effect that was tried, the likeliest first, and its place in the answer."""
+        """A row per tested effect, the likeliest first, and its place in the verdict."""
         diagnosis, places = self.diagnosis, dict[str, str]()
-        for place, found in (("partial", diagnosis.partial), ("missing", diagnosis.missing)):
-            for one in found:
-                places |= {one.effect: place} | dict.fromkeys(one.tied_with, f"tied: {place}")
+        for place, effects in (("partial", diagnosis.partial), ("missing", diagnosis.missing)):
+            for effect in effects:
+                places |= {effect.effect: place} | dict.fromkeys(effect.tied_with, f"tied: {place}")
         return [{**asdict(r), "answer": places.get(r.effect, "")} for r in by_evidence(diagnosis)]
 
     def write_report(self, path: Path | str) -> None:
@@ -283,12 +283,12 @@ class DiagnoseResult(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PowerResult(Shown):
-    """What a diagnosis of a study would find, by `cell.power`."""
+    """Forecast of what a diagnosis of a study would detect, by `cell.power`."""
 
     power: StudyPower
 
     def parts(self) -> Sequence[str | TableData]:
-        """What would be found, the forecast, and what was found in copies if there are any."""
+        """Detectable effects, the forecast, and the detections in copies if there are any."""
         copies = recovery_table(self.power)
         return (
             *power_sentences(self.power),
@@ -302,17 +302,17 @@ class PowerResult(Shown):
         return self.power.to_json()
 
     def rows(self) -> list[Row]:
-        """A row per effect: its size, the probability that it is found, and the smallest size."""
+        """A row per effect: its size, the probability of detection, and the smallest size."""
         return [
             {
-                "effect": one.asked.effect.name,
-                "parameter": one.asked.parameter.name,
-                "size": one.size,
-                "unit": one.asked.parameter.unit,
-                "found": None if one.chances is None else one.chances.found,
-                "smallest": one.smallest,
+                "effect": forecast.asked.effect.name,
+                "parameter": forecast.asked.parameter.name,
+                "size": forecast.size,
+                "unit": forecast.asked.parameter.unit,
+                "found": None if forecast.chances is None else forecast.chances.found,
+                "smallest": forecast.smallest,
             }
-            for one in self.power.effects
+            for forecast in self.power.effects
         ]
 
 

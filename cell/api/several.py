@@ -11,7 +11,7 @@ from typing import Any
 from cell.api.lab import (
     StudyOrFolder,
     Tell,
-    check_given,
+    check_study_argument,
     effect_names,
     examined,
     opened_study,
@@ -38,12 +38,12 @@ from cell.workers.here import this_computer
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TogetherResult(Shown):
-    """What several studies say together, by `cell.diagnose_together`."""
+    """Joint diagnosis of several studies, by `cell.diagnose_together`."""
 
     together: Together
 
     def parts(self) -> Sequence[str | TableData]:
-        """The answer, each study's part, parameters of all cables, and what was tried."""
+        """The verdict, each study's part, parameters of all cables, and the tested effects."""
         return together_parts(self.together)
 
     def to_json(self) -> dict[str, Any]:
@@ -51,7 +51,7 @@ class TogetherResult(Shown):
         return self.together.to_json()
 
     def rows(self) -> list[Row]:
-        """A row per study: its verdict alone, and what it says of the effects found."""
+        """A row per study: its own verdict, and its evidence for the joint effects."""
         return [asdict(part) for part in self.together.studies]
 
     def write_report(self, path: Path | str) -> None:
@@ -77,10 +77,10 @@ def diagnose_together(
     """
     selection = select_for_diagnosis(effect_names(effects), effect_names(known, "known"))
     rules = rules_with(several(checks))
-    return found_together(several(studies), selection, config, progress, rules=rules)
+    return joint_diagnosis(several(studies), selection, config, progress, rules=rules)
 
 
-def found_together(
+def joint_diagnosis(
     studies: Sequence[StudyOrFolder],
     selection: EffectSelection,
     config: Path | str | None,
@@ -91,7 +91,7 @@ def found_together(
 ) -> TogetherResult:
     """The joint diagnosis of several studies; each is first diagnosed alone.
 
-    executor  who diagnoses; None = all cores of this computer
+    executor  runs the diagnoses; None = all cores of this computer
     """
     names = _names(studies)
     if not names:
@@ -115,20 +115,20 @@ def found_together(
 
 @dataclass(frozen=True)
 class _Diagnosed:
-    """A study's diagnosis alone, by what is made ready of it."""
+    """Diagnosis of one study alone, from its fits."""
 
     rules: Rules
 
     def __call__(self, fits: FitCache) -> Examination:
-        found = examined(fits, self.rules)
-        found.fits.work.renew()
-        return found
+        examination = examined(fits, self.rules)
+        examination.fits.work.renew()
+        return examination
 
 
 def _names(studies: Sequence[StudyOrFolder]) -> list[str]:
-    """Names of studies or of their folders; with the folder above where that is needed."""
+    """Names of studies or of their folders; with the parent folder where names are equal."""
     for study in studies:
-        check_given(study)
+        check_study_argument(study)
     places = [Path(s.name) if isinstance(s, Study) else Path(s).resolve() for s in studies]
     short = [p.name for p in places]
     names = [p.name if short.count(p.name) == 1 else f"{p.parent.name}/{p.name}" for p in places]

@@ -39,14 +39,14 @@ from cell.cli.shared import BAD_INPUT
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
 
-#: Commands that run a user's own effects; another process watches that they end.
+#: Commands that run a user's own effects, under a watchdog process.
 WATCHED = (
     *("fit", "compare", "diagnose", "discover", "suggest", "power", "identify", "learn"),
     *("check", "effects", "promote", "export"),
 )
 
 
-#: Commands by what one wants to do; help and completion list them in this order.
+#: Commands by purpose; help and completion list them in this order.
 PANELS = {
     "Set up": ("init", "check", "doctor", "calibrate", "emulate", "schema"),
     "Run": ("run", "status", "send"),
@@ -71,11 +71,11 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     "effects": {"--effect": "--try"},
     "learn": {"--effect": "--try", "--ledger": "--runs"},
 }
-#: What is said of a command that has no exit codes of its own.
+#: Help text of a command that has no exit codes of its own.
 _USUAL_CODES = """
 
 Exit codes: 0; 2 if the input is wrong, and nothing is written; 130 if Ctrl-C has ended it."""
-#: What `cell` alone says.
+#: Text that `cell` prints without a command.
 _FIRST = """\
 Three things to do first:
 
@@ -88,9 +88,9 @@ Three things to do first:
 
 
 class _Commands(typer.core.TyperGroup):
-    """All commands; Ctrl-C in one that has no answer to it is told, and ends it with 130.
+    """All commands; Ctrl-C in one that does not handle it is reported, exit code 130.
 
-    So is Ctrl-D in place of an answer, which ends it with 2.
+    Ctrl-D at a prompt is reported too, exit code 2.
     """
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -98,7 +98,7 @@ class _Commands(typer.core.TyperGroup):
         return [name for names in PANELS.values() for name in names]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A command, which knows its panel and says its exit codes."""
+        """A command, with its panel and its exit codes."""
         command: Any = super().get_command(ctx, cmd_name)
         if command is not None:
             of = (panel for panel, names in PANELS.items() if cmd_name in names)
@@ -109,7 +109,7 @@ class _Commands(typer.core.TyperGroup):
         return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Name, command, and its words with options as they are spelled now."""
+        """Name, command, and its arguments with options in their current spelling."""
         name, command, rest = super().resolve_command(ctx, args)
         old = OLD_OPTIONS.get(name or "", {})
         for i, word in enumerate(rest):
@@ -120,9 +120,9 @@ class _Commands(typer.core.TyperGroup):
                 print(f"note: {option} is called {new} now", file=sys.stderr)
         return name, command, rest
 
-    def make_context(self, *given: Any, **named: Any) -> Any:
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
         with _reporting_interruption():
-            return super().make_context(*given, **named)
+            return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: Any) -> Any:
         with _reporting_interruption():
@@ -130,7 +130,7 @@ class _Commands(typer.core.TyperGroup):
 
 
 def _new_option(command: str, option: str, value: str) -> str:
-    """How an option of the version before is spelled now."""
+    """Current spelling of an option of the previous version."""
     if (command, option) == ("diagnose", "--effect"):  # what is tried anyway was part of the model
         from cell.cable.effects import library
 
@@ -140,7 +140,7 @@ def _new_option(command: str, option: str, value: str) -> str:
 
 @contextmanager
 def _reporting_interruption() -> Iterator[None]:
-    """Typer ends without a word."""
+    """Report an interruption; Typer alone ends without a message."""
     try:
         yield
     except KeyboardInterrupt:

@@ -1,5 +1,5 @@
-"""Commands of processes beside a cell: emulate in place of its devices; opcua, mqtt and handshake
-between it and its plant.
+"""Commands of processes that run next to a cell: emulate replaces its devices; opcua, mqtt and
+handshake connect it with its plant.
 """
 
 from __future__ import annotations
@@ -252,9 +252,9 @@ class TypedLines:
             self._descriptor = -1
 
     def within(self, seconds: float) -> list[str]:
-        """Those that come within a time, without the blanks around them; empty ones are left out.
+        """Lines that arrive within a time, stripped; empty lines are omitted.
 
-        It returns with the first that comes.
+        It returns with the first line.
         """
         is_ours = not os.isatty(self._descriptor) or is_in_foreground(self._descriptor)
         if self._descriptor < 0 or not is_ours:
@@ -301,7 +301,7 @@ def emulate(
 
     parent = os.getppid()
     try:
-        given = [read_fault(f) for f in fault or []]
+        device_faults = [read_fault(f) for f in fault or []]
     except ValueError as error:
         refuse(ValueError(f"--fault {error}"))
     try:
@@ -313,8 +313,8 @@ def emulate(
         ):
             print(cell.whereabouts(), flush=True)
             faults = DeviceFaults(cell, lambda text: print(text, file=sys.stderr, flush=True))
-            for one in given:
-                faults.give(one)
+            for device_fault in device_faults:
+                faults.give(device_fault)
             typed = TypedLines()
             while os.getppid() == parent:
                 if ended := cell.ended():
@@ -327,7 +327,7 @@ def emulate(
 
 
 def _apply(faults: DeviceFaults, line: str) -> None:
-    """Do what was typed; what is not understood is said, and changes nothing."""
+    """Apply a typed fault; a line that cannot be parsed is reported and changes nothing."""
     from cell.wiring.faults import REPAIR, read_fault
 
     try:

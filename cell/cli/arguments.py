@@ -39,8 +39,8 @@ def taking(kind: type[Any]) -> Callable[[Callable[[Any], None]], Callable[..., N
     ]
 
     def made(command: Callable[[Any], None]) -> Callable[..., None]:
-        def called(**given: Any) -> None:
-            command(kind(**given))
+        def called(**values: Any) -> None:
+            command(kind(**values))
 
         called.__name__, called.__doc__ = command.__name__, command.__doc__
         called.__module__ = command.__module__
@@ -55,15 +55,15 @@ def taking(kind: type[Any]) -> Callable[[Callable[[Any], None]], Callable[..., N
 RECORDING = ".mcap"
 
 
-def folder_of(ctx: typer.Context, given: Path) -> Path:
-    """The given folder; of a recording a temporary folder, until the command ends."""
-    return folder_in(ctx.with_resource, given)
+def folder_of(ctx: typer.Context, path: Path) -> Path:
+    """The folder itself; for a recording a temporary folder, until the command ends."""
+    return folder_in(ctx.with_resource, path)
 
 
-def records_folder(given: Path) -> Path:
+def records_folder(folder: Path) -> Path:
     """A folder of records by its name; log, ledger and socket are placed next to it."""
     try:
-        return named_folder(given)
+        return named_folder(folder)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
 
@@ -80,20 +80,20 @@ RunsFolder = Annotated[
 ]
 
 
-def maybe_folder_of(ctx: typer.Context, given: Path | None) -> Path | None:
+def maybe_folder_of(ctx: typer.Context, path: Path | None) -> Path | None:
     """As `folder_of`; None stays None."""
-    return None if given is None else folder_of(ctx, given)
+    return None if path is None else folder_of(ctx, path)
 
 
-def folders_of(ctx: typer.Context, given: Sequence[Path]) -> list[Path]:
+def folders_of(ctx: typer.Context, paths: Sequence[Path]) -> list[Path]:
     """As `folder_of`, for several paths."""
-    return [folder_of(ctx, path) for path in given]
+    return [folder_of(ctx, path) for path in paths]
 
 
-def folder_in(enter: Callable[[AbstractContextManager[str]], str], given: Path) -> Path:
-    """The given folder; of a recording a temporary one, which `enter` adds to a context."""
-    if given.suffix != RECORDING:
-        return given
+def folder_in(enter: Callable[[AbstractContextManager[str]], str], path: Path) -> Path:
+    """The folder itself; for a recording a temporary one, which `enter` adds to a context."""
+    if path.suffix != RECORDING:
+        return path
     from cell.files.input_error import InputError
     from cell.records.recording.reading import read_recording
     from cell.records.recording.unpack import unpack
@@ -101,7 +101,7 @@ def folder_in(enter: Callable[[AbstractContextManager[str]], str], given: Path) 
     folder = TemporaryDirectory()
     into = Path(enter(folder))
     try:
-        return unpack(read_recording(given), into)
+        return unpack(read_recording(path), into)
     except InputError as error:
         folder.cleanup()  # while arguments are read the command has not begun, nor does it end
         refuse(error)
@@ -120,18 +120,18 @@ Workers = Annotated[
 
 
 @contextmanager
-def workers(given: str | None, config: Path | None = None) -> Iterator[Executor]:
+def workers(option: str | None, config: Path | None = None) -> Iterator[Executor]:
     """The executor for a command's jobs.
 
-    given   as the option says; None = as the settings say
+    option  value of the option; None = that of the settings
     raises  WorkersError; InputError: the settings are wrong
     """
     from cell.workers.executor import place
     from cell.workers.here import executor
 
-    where = _of_settings(config) if given is None else place(given)
-    with executor(where, lambda note: tell_notes([note])) as found:
-        yield found
+    where = _of_settings(config) if option is None else place(option)
+    with executor(where, lambda note: tell_notes([note])) as pool:
+        yield pool
 
 
 def _of_settings(config: Path | None) -> str | int | None:
@@ -139,8 +139,8 @@ def _of_settings(config: Path | None) -> str | int | None:
         return None
     from cell.settings import load_settings
 
-    said = load_settings(config).workers
-    return None if said is None else said.place
+    section = load_settings(config).workers
+    return None if section is None else section.place
 
 
 #: Longest id, as the ledger has room for it.
@@ -151,15 +151,15 @@ LONGEST_ID = 200
 SCANNED = "-"
 
 
-def part_ids(said: str | None) -> Iterator[str | None]:
-    """Ids of one cable after another; None = they have none.
+def part_ids(option: str | None) -> Iterator[str | None]:
+    """Ids of successive cables; None = they have none.
 
-    said    an id whose last digits count on, or `SCANNED`; None = no ids
+    option  an id whose last digits count on, or `SCANNED`; None = no ids
     raises  ValueError: no id
     """
-    if said is None:
+    if option is None:
         return repeat(None)
-    return _scanned() if said == SCANNED else _counted(checked_id(said))
+    return _scanned_ids() if option == SCANNED else _consecutive_ids(checked_id(option))
 
 
 def checked_id(part: str) -> str:
@@ -170,10 +170,10 @@ def checked_id(part: str) -> str:
     return part
 
 
-def _counted(first: str) -> Iterator[str]:
-    found = re.fullmatch(r"(.*?)(\d*)", first)
-    assert found is not None
-    stem, digits = found[1], found[2]
+def _consecutive_ids(first: str) -> Iterator[str]:
+    matched = re.fullmatch(r"(.*?)(\d*)", first)
+    assert matched is not None
+    stem, digits = matched[1], matched[2]
     yield first
     if not digits:  # the first is followed by a second of its name
         stem, digits = f"{first}-", "1"
@@ -183,7 +183,7 @@ def _counted(first: str) -> Iterator[str]:
         yield f"{stem}{number:0{len(digits)}d}"
 
 
-def _scanned() -> Iterator[str]:
+def _scanned_ids() -> Iterator[str]:
     while line := sys.stdin.readline():
         try:
             part = checked_id(line)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 app = group()
 
-#: So many of the newest cycles of the ledger are listed in a bundle.
+#: Number of the newest cycles of the ledger that a bundle lists.
 _LISTED = 1000
 
 
@@ -136,7 +136,7 @@ def _of_cycles(runs: Path, named: list[Path], newest: int, recordings: bool) -> 
 
 
 def _of_ledger(runs: Path, settings: Settings | None) -> Iterator[Item]:
-    """The newest cycles and the faults as the ledger lists them, and what it was not told yet."""
+    """Newest cycles and faults as the ledger lists them, and entries not yet written to it."""
     from cell.records.bundle import Item
     from cell.records.ledger.entry import LedgerError
     from cell.records.ledger.ledger import LedgerQuery, csv_text

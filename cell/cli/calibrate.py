@@ -157,12 +157,12 @@ def check(options: _Calibrate) -> None:
     Exit codes: 0 if the calibration is still valid; 1 if not.
     """
     with _workshop(options, gripped=False) as work:
-        found = work.check()
+        result = work.check()
         if options.as_json:
-            print_json(vars(found))
+            print_json(vars(result))
         else:
-            print(found.sentence + ("" if found.command is None else f"; run `{found.command}`"))
-        raise typer.Exit(ALL_DONE if found.good else NOT_ALL_DONE)
+            print(result.sentence + ("" if result.command is None else f"; run `{result.command}`"))
+        raise typer.Exit(ALL_DONE if result.good else NOT_ALL_DONE)
 
 
 @app.command()
@@ -213,9 +213,9 @@ def _end(work: CalibrationJob, as_json: bool) -> None:
 def _workshop(
     options: _Calibrate, *, live: bool = True, product: str | None = None, gripped: bool = True
 ) -> Iterator[CalibrationJob]:
-    """Everything that calibrating needs; what goes wrong is said and ends with 2.
+    """Everything that calibrating needs; an error is printed and ends the command with 2.
 
-    gripped  a cable is gripped, so that it must be said of which product
+    gripped  a cable is gripped, so the product must be known
     """
     from cell.calibration.assistants import write_coverage
     from cell.calibration.work import BrokenOffError, CalibrationJob
@@ -231,7 +231,7 @@ def _workshop(
         print(json.dumps(message, ensure_ascii=False), flush=True)
 
     def say(text: str, done: int = 0, total: int = 0) -> None:
-        """Kept as a line, and under way until the next one."""
+        """Log a line, and show it as the current step until the next one."""
         _LOG.info("%s", text)
         if dialogue:
             tell(say=text, done=done, total=total)

@@ -45,7 +45,7 @@ class Products:
     default       settings of the file
     settings      of each product
     calibrations  of each product
-    usual         product that is made unless another is named; None = one must be named
+    usual         default product; None = a product must be named
     """
 
     default: Settings
@@ -63,11 +63,11 @@ class Products:
         """Which ids their parts have; None = any."""
         return {name: product.part_ids for name, product in self.default.products.items()}
 
-    def chosen(self, asked: str | None, part: str | None) -> str | None:
-        """What is made of a part, as `product_for` says; None without products."""
+    def chosen(self, requested: str | None, part: str | None) -> str | None:
+        """Product of a part, by `product_for`; None without products."""
         from cell.settings.product import product_for
 
-        return product_for(self.patterns, asked, part, self.usual)
+        return product_for(self.patterns, requested, part, self.usual)
 
 
 def _with_whole_frames(settings: Settings, config: Path) -> Settings:
@@ -78,27 +78,27 @@ def _with_whole_frames(settings: Settings, config: Path) -> Settings:
     return settings.model_copy(update={"recording": recording})
 
 
-def products_in(config: Path, asked: str | None, whole_frames: bool = False) -> Products:
+def products_in(config: Path, product: str | None, whole_frames: bool = False) -> Products:
     """The products of a settings file, with their calibrations.
 
-    asked         the usual one, in place of the file's
-    whole_frames  record frames whole
+    product       default product, in place of the file's
+    whole_frames  record full frames
     raises        InputError: settings or calibrations are wrong, or there is no such product;
-                  whole frames are wanted where nothing is recorded
+                  full frames are requested but nothing is recorded
     """
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated
     from cell.settings.loading import load_product, products_of
 
-    whole = load_settings(config)
+    base = load_settings(config)
     if whole_frames:
-        whole = _with_whole_frames(whole, config)
-    if asked is not None:
-        load_product(config, asked)
-    settings = products_of(whole)
+        base = _with_whole_frames(base, config)
+    if product is not None:
+        load_product(config, product)
+    settings = products_of(base)
     known = {name: calibrated(of, config) for name, of in settings.items()}
-    usual = asked or (whole.product if settings else None)
-    return Products(whole, settings, known, usual)
+    usual = product or (base.product if settings else None)
+    return Products(base, settings, known, usual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ def build_cell(
 
     first   None = without products
     known   calibration of the first product
-    cycles  number of simulated cables; None = there is always another
+    cycles  number of simulated cables; None = unlimited
     """
     from cell.settings.devices import SimulatedArm
     from cell.wiring.build import build_cell, product_task
@@ -179,9 +179,9 @@ class PlantEnd:
 
     @contextmanager
     def reachable(self) -> Iterator[None]:
-        """A run of so many cycles: it can be looked at and held, and takes no starts.
+        """A run of a fixed number of cycles: it can be observed and held, and takes no starts.
 
-        Where there can be no socket, or another cell has it, the run goes on without.
+        If the socket cannot be made, or a different cell has it, the run continues without it.
         """
         link = self._link(self._answer, LATCHED)
         self._report_to(link)
@@ -194,8 +194,8 @@ class PlantEnd:
                 _LOG.warning("%s", error)
             yield
 
-    def serve(self, plan: Plan, told: Callable[[Result], None], config: Path) -> bool:
-        """Make cycles on request until SIGTERM; whether Ctrl-C stopped one that was under way.
+    def serve(self, plan: Plan, on_result: Callable[[Result], None], config: Path) -> bool:
+        """Make cycles on request until SIGTERM; whether Ctrl-C stopped a running cycle.
 
         config  the settings' file, for the adapters that it lets start
         raises  LinkError: another cell runs there already; InputError; RecordError
@@ -205,7 +205,7 @@ class PlantEnd:
 
         def tell(result: Result) -> None:
             nonlocal stopped
-            told(result)
+            on_result(result)
             if interrupted(result):
                 stopped = True
                 raise KeyboardInterrupt
@@ -244,7 +244,7 @@ class PlantEnd:
         }
         self.reporter = Reporter(link.publish, products)
 
-    def _link(self, handler: Handler, obeyed: Collection[MachineEvent]) -> Link:
+    def _link(self, handler: Handler, accepted: Collection[MachineEvent]) -> Link:
         status = Status(
             run="",
             sequence=0,
@@ -257,14 +257,14 @@ class PlantEnd:
             calibration=calibration_hash(self._settings),
             software=version("cable-cell"),
         )
-        return Link(self._runs, status, handler, obeyed)
+        return Link(self._runs, status, handler, accepted)
 
     def _answer(self, request: Request) -> CommandReply:
         if request.command in LATCHED:
             return latch(self._cell, request)
-        what = request.command.value if request.command else "product"
+        command = request.command.value if request.command else "product"
         why = "this run makes a number of cycles; `cell run --cycles forever` takes starts"
-        return refusal(self._cell, what, why)
+        return refusal(self._cell, command, why)
 
 
 def interrupted(result: Result) -> bool:

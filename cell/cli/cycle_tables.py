@@ -33,10 +33,10 @@ _COLOURS = {
 }
 #: Outcomes that need no explanation.
 _GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
-#: Outcomes of which the step is worth saying.
+#: Outcomes whose step is shown.
 _IN_STEP = (Outcome.FAILED.value, UNFINISHED)
 
-#: SI unit → unit for people, how many of it, and how it is written.
+#: SI unit → display unit, factor, and number format.
 _SHOWN = {
     "m": ("mm", 1e3, ".2f"),
     "s": ("ms", 1e3, ".2f"),
@@ -79,7 +79,7 @@ def checks_table(result: Result) -> TableData:
     for check in result.checks:
         limits = _limits(check)
         verdict = "right" if check.right else "wrong"
-        rows.append([check.what, _measured(check), limits, verdict if limits else ""])
+        rows.append([check.what, _value_text(check), limits, verdict if limits else ""])
     title = f"dry run{at}: {result.outcome.value}"
     colours = {"right": "green", "wrong": "red"}
     return TableData(title, ["", "found", "must be", ""], rows, (1, 2), colours=colours)
@@ -95,7 +95,7 @@ def conditions_table(conditions: Sequence[Condition]) -> TableData:
 def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> TableData:
     """Time of each step: one column per cable, or median and longest of many cables.
 
-    steps  names in the order of the rows; those that few cables come to stand below
+    steps  names in the order of the rows; steps that few cables reach stand below
     """
     many = len(results) > MOST_COLUMNS
     heads = ["median", "longest"] if many else [f"cable {r.cycle}" for r in results]
@@ -131,7 +131,7 @@ def troubles(results: Sequence[Result]) -> list[str]:
                 f"{device}{r.fault.cause}{remedy}{cable}"
             )
         elif r.outcome is Outcome.UNFIT:
-            lines += [f"{c.what}: {_measured(c)}; {c.remedy}" for c in r.checks if not c.right]
+            lines += [f"{c.what}: {_value_text(c)}; {c.remedy}" for c in r.checks if not c.right]
         elif r.outcome not in _GOOD:
             lines.append(f"cable {r.cycle} {r.outcome.value}: {r.reason}")
     return lines
@@ -204,9 +204,9 @@ def cycles_parts(cycles: Sequence[ListedCycle], counts: Mapping[str, int]) -> li
         ]
         for i, c in enumerate(cycles)
     ]
-    left = ["begun", *shown, "outcome"]
-    heads = [*left, "offset", "miss", "expected", "s"]
-    table = TableData("cycles (lengths in mm)", heads, rows, range(len(left), len(heads)))
+    columns = ["begun", *shown, "outcome"]
+    heads = [*columns, "offset", "miss", "expected", "s"]
+    table = TableData("cycles (lengths in mm)", heads, rows, range(len(columns), len(heads)))
     by_outcome = ", ".join(f"{n} {outcome}" for outcome, n in sorted(counts.items()))
     more = "" if total == len(cycles) else f", the newest {len(cycles)} above"
     return [table, f"{total} {'cycles' if total > 1 else 'cycle'}: {by_outcome}{more}"]
@@ -291,8 +291,8 @@ def replayed_parts(replayed: Replayed, most: int) -> Iterator[Part]:
         yield f"{name} was {then}, now {now}"
     if not differences:
         complete = replayed.complete and not replayed.losses
-        what = result.outcome.value if complete else "what it holds"
-        yield f"identical: {what}, every number to the last bit"
+        compared = result.outcome.value if complete else "what it holds"
+        yield f"identical: {compared}, every number to the last bit"
         return
     rows = [[d.name, _short(d.then), _short(d.now)] for d in differences[:most]]
     yield TableData("differences", ["what", "then", "now"], rows)
@@ -317,13 +317,13 @@ def imported_parts(result: Result) -> Iterator[Part]:
 
 
 def _outcome_text(result: Result) -> str:
-    """With the number of the try, if the cable was stopped in front of the opening before."""
+    """Outcome, with the number of the attempt if the cable was stopped before the opening."""
     tries = f", try {len(result.stops) + 1}" if result.stops else ""
     return f"{result.outcome.value}{tries}"
 
 
 def _listed_outcome(cycle: ListedCycle) -> str:
-    """With the fault's code, and a mark on one that nobody has acknowledged."""
+    """Outcome, with the fault's code, and a mark on a fault that nobody has acknowledged."""
     if cycle.fault is None:
         return cycle.outcome
     return f"{cycle.outcome}: {cycle.fault.code}{'' if cycle.acknowledged else ' (open)'}"
@@ -333,7 +333,7 @@ def _mm(length_m: float | None, form: str) -> str:
     return "" if length_m is None else format(length_m * 1e3, form)
 
 
-def _measured(check: AgreementCheck) -> str:
+def _value_text(check: AgreementCheck) -> str:
     unit, factor, form = _SHOWN[check.unit]
     return f"{check.found * factor:{form}} {unit}".rstrip()
 

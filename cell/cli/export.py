@@ -40,10 +40,10 @@ class Target(Enum):
     JSON = "json"
 
 
-def _model_file(ctx: typer.Context, given: Path) -> Path:
+def _model_file(ctx: typer.Context, path: Path) -> Path:
     """The file itself, or that of a cycle's folder or recording."""
-    found = folder_of(ctx, given)
-    return found / "model.json" if found.is_dir() else found
+    file = folder_of(ctx, path)
+    return file / "model.json" if file.is_dir() else file
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ class ExportOptions:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files of the cable, and of one sample each where these have their own."""
+        """Output files: one, or one for each sample."""
         own = range(1, 1 + self.samples * (self.to is Target.MUJOCO))
-        return (self.out, *(_numbered(self.out, k) for k in own))
+        return (self.out, *(_sample_file(self.out, k) for k in own))
 
 
 @app.command(cls=JsonCommand)
@@ -120,7 +120,7 @@ def export(options: ExportOptions) -> None:
         _to_mujoco(identified, options)
 
 
-def _numbered(out: Path, number: int) -> Path:
+def _sample_file(out: Path, number: int) -> Path:
     """File of a sample."""
     return out.with_name(f"{out.stem}_{number:03d}{out.suffix}")
 
@@ -165,7 +165,7 @@ def _to_mujoco(identified: Identified, options: ExportOptions) -> None:
 
 
 def _motions(study: Path, model: Path, identified: Identified) -> tuple[PeerTrial, ...]:
-    """The motions of a study of the same kind of cable; those that begin bent are told."""
+    """Motions of a study of the same kind of cable; those that begin bent are reported."""
     from cell.exchange.peer import trials_of
     from cell.lab.fit.individual_model import check_same_kind
     from cell.study.folder import read_study, study_folder

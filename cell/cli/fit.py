@@ -71,18 +71,18 @@ class FitCommandOptions:
     force: Force = False
 
     def of_study_only(self) -> list[str]:
-        """Options given that a fit without a study does not have."""
+        """Options in use that only a fit to a study has."""
         named = {"effect": "--with", "prior": "--prior", "config": "--config"}
         named["profile"] = "--profile"
         return [named[f.name] for f in fields(self) if f.name in named and getattr(self, f.name)]
 
 
 class FitCommand(JsonCommand):
-    """`cell fit`: its argument, the study, may be omitted if `--from` is given."""
+    """`cell fit`: the study, its argument, is optional with `--from`."""
 
-    def is_complete(self, given: Mapping[str, Any]) -> bool:
-        """Whether it has what it works on."""
-        return any(isinstance(given.get(name), str) for name in ("study", "chain"))
+    def is_complete(self, values: Mapping[str, Any]) -> bool:
+        """Whether its input, a study or a chain, is given."""
+        return any(isinstance(values.get(name), str) for name in ("study", "chain"))
 
 
 @app.command(cls=FitCommand)
@@ -102,7 +102,7 @@ def fit(options: FitCommandOptions) -> None:
 
 
 def _fit_to_chain(options: FitCommandOptions, chain: Path) -> None:
-    """A model of a chain in MuJoCo's XML; what it does not have of the file is told."""
+    """A model of a chain in MuJoCo's XML; parts of the file that it omits are reported."""
     from cell.exchange.from_mujoco import model_from_mujoco
     from cell.lab.report.model_tables import model_table
 
@@ -111,21 +111,21 @@ def _fit_to_chain(options: FitCommandOptions, chain: Path) -> None:
             raise ValueError(f"{options.study} and --from: a model is fitted to one; leave one out")
         if only := options.of_study_only():
             raise ValueError(f"{', '.join(only)}: with a study only; leave out, or --from")
-        found = model_from_mujoco(chain)
-    tell_notes(found.notes)
-    data = found.model.to_dict()
+        converted = model_from_mujoco(chain)
+    tell_notes(converted.notes)
+    data = converted.model.to_dict()
     note = "Nothing was measured: the intervals are those of a weak prior."
     places = options.out, options.as_json
-    deliver_result(data, places, lambda: (model_table(found.model), note))
+    deliver_result(data, places, lambda: (model_table(converted.model), note))
 
 
 def _fit_to_study(options: FitCommandOptions, study: Path) -> None:
-    """A model of a study, with what is doubtful about it, and profiles if they are wanted."""
+    """A model of a study, with its warnings, and profiles on request."""
     from cell.api.lab import fitted, set_up
     from cell.lab.data.named_effects import select_effects
 
-    found: list[ParameterProfile] = []
-    said: list[str] = []
+    profiles: list[ParameterProfile] = []
+    sentences: list[str] = []
     out, as_json, profile = options.out, options.as_json, options.profile
     with (
         refusing(out, as_json, profile, force=options.force),
@@ -133,29 +133,29 @@ def _fit_to_study(options: FitCommandOptions, study: Path) -> None:
         answering() as interrupted,
     ):
         selection = select_effects(options.effect or [])
-        given = selection, options.prior, options.config, progress, tell_notes
-        result = fitted(set_up(study, *given))
+        inputs = selection, options.prior, options.config, progress, tell_notes
+        result = fitted(set_up(study, *inputs))
         with suppress(KeyboardInterrupt):
             if profile is not None and not interrupted:
                 from cell.lab.strength.profiles import each_profile, profile_sentences
 
-                at = result.weighed, result.candidate.fit, result.model
-                for one in each_profile(*at, progress):
-                    found.append(one)
-                    said = [f"{sentence}." for sentence in profile_sentences(found)]
+                at = result.reestimated, result.candidate.fit, result.model
+                for parameter in each_profile(*at, progress):
+                    profiles.append(parameter)
+                    sentences = [f"{sentence}." for sentence in profile_sentences(profiles)]
         result = result.interrupted() if interrupted else result
     written = result.to_json()
     if profile is not None:
-        written["profiles"] = [p.to_json() for p in found]
+        written["profiles"] = [p.to_json() for p in profiles]
 
     def page(path: Path) -> None:
         from cell.files.page import write_page
         from cell.lab.report.report import profile_page
 
-        write_page(profile_page(result.prepared.study.name, found), path)
+        write_page(profile_page(result.prepared.study.name, profiles), path)
 
-    files = ((profile if found else None, page),)
-    deliver_result(written, (out, as_json), lambda: (*result.parts(), *said), *files)
+    files = ((profile if profiles else None, page),)
+    deliver_result(written, (out, as_json), lambda: (*result.parts(), *sentences), *files)
     interrupted.end_command()
 
 
@@ -206,20 +206,20 @@ class _Identify:
 
 @app.command(cls=JsonCommand)
 @taking(_Identify)
-def identify(given: _Identify) -> None:
+def identify(command: _Identify) -> None:
     """Identify a cable again, from its folder alone, with the model of its settings.
 
     With --all every recording below a folder is identified, many at a time.
 
     Exit codes: 0; 1 if a cable cannot be identified; 2 if the folder is wrong.
     """
-    if given.every:
-        _all(given)
+    if command.every:
+        _all(command)
     else:
-        _one(given)
+        _one(command)
 
 
-def _one(given: _Identify) -> None:
+def _one(command: _Identify) -> None:
     from cell.cli.cycle_tables import parameters_table
     from cell.identify.individual import CableRejectedError
     from cell.lab.line.recordings import (
@@ -230,20 +230,20 @@ def _one(given: _Identify) -> None:
     )
 
     with (
-        refusing(given.out, given.as_json, force=given.force),
+        refusing(command.out, command.as_json, force=command.force),
         working("identify") as progress,
     ):
-        if given.workers is not None:
+        if command.workers is not None:
             raise ValueError("--workers is of --all: one cable is identified on this computer")
-        study = study_to_identify(given.folder)
-        settings = given.config or recorded_settings(given.folder)
-        options = options_with(settings, given.effect or [])
+        study = study_to_identify(command.folder)
+        settings = command.config or recorded_settings(command.folder)
+        options = options_with(settings, command.effect or [])
         tell_notes(study.notes)
         progress("fitting the model")
         try:
             identified = identify_again(study, options)
         except CableRejectedError as error:
-            print(f"{given.folder}: cable rejected: {error}", file=sys.stderr)
+            print(f"{command.folder}: cable rejected: {error}", file=sys.stderr)
             raise typer.Exit(NOT_ALL_DONE) from None
     model = identified.to_dict()
     stated = ""
@@ -254,11 +254,11 @@ def _one(given: _Identify) -> None:
         f"{identified.noise.std_m * 1e3:.3f} mm{stated}, {identified.frames_used} of "
         f"{identified.frames_total} frames"
     )
-    places = given.out, given.as_json
+    places = command.out, command.as_json
     deliver_result(model, places, lambda: (parameters_table(model), errors))
 
 
-def _all(given: _Identify) -> None:
+def _all(command: _Identify) -> None:
     from cell.lab.data.work import Work, WorkStoppedError
     from cell.lab.line.identify_all import IdentifiedAll, identified_table, identify_all
     from cell.lab.line.recordings import packer, recordings_in
@@ -266,36 +266,36 @@ def _all(given: _Identify) -> None:
 
     wanted = Work()
     with (
-        refusing(given.out, given.as_json, force=given.force),
+        refusing(command.out, command.as_json, force=command.force),
         working("identify") as progress,
     ):
-        recordings = recordings_in(given.folder)
-        pack = packer(given.folder, given.config, given.effect or [])
-        found = IdentifiedAll(len(recordings))
+        recordings = recordings_in(command.folder)
+        pack = packer(command.folder, command.config, command.effect or [])
+        done = IdentifiedAll(len(recordings))
         with (
-            identified_table(given.csv, afresh=given.force) as table,
-            workers(given.workers, given.config) as executor,
+            identified_table(command.csv, afresh=command.force) as table,
+            workers(command.workers, command.config) as executor,
             stoppable(wanted.stop) as interrupted,
         ):
             try:
                 for so_far in identify_all(
                     recordings, pack, table, executor, progress, wanted.check
                 ):
-                    found = so_far
+                    done = so_far
             except WorkStoppedError:
                 pass
-    data = {**found.to_json(), "table": str(given.csv)}
-    places = given.out, given.as_json
-    deliver_result(data, places, lambda: identified_parts(found, given.csv))
+    data = {**done.to_json(), "table": str(command.csv)}
+    places = command.out, command.as_json
+    deliver_result(data, places, lambda: identified_parts(done, command.csv))
     if interrupted:
         print(
-            f"{_residual_text(found)}; the same command goes on with {given.csv}", file=sys.stderr
+            f"{_residual_text(done)}; the same command goes on with {command.csv}", file=sys.stderr
         )
         raise typer.Exit(interrupted.code)
-    if found.outcomes["identified"] < found.done:
+    if done.outcomes["identified"] < done.done:
         raise typer.Exit(NOT_ALL_DONE)
 
 
-def _residual_text(found: IdentifiedAll) -> str:
-    left = found.recordings - found.done
-    return f"{left} of {counted(found.recordings, 'recording')} {'is' if left == 1 else 'are'} left"
+def _residual_text(done: IdentifiedAll) -> str:
+    rest = done.recordings - done.done
+    return f"{rest} of {counted(done.recordings, 'recording')} {'is' if rest == 1 else 'are'} left"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 app = group()
 
-#: Endings of names of videos, which the cell's own vision looks at.
+#: Suffixes of video files, which the cell's own vision processes.
 _VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v")
 PREVIEW = "preview.html"
 
@@ -148,8 +148,8 @@ def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoRetu
         study, left_out = merge_into(out, folders)
     notes = [*study.notes, *(f"left out: {line}" for line in left_out)]
     trials = [{"name": t.name, "role": t.role, "start": t.start} for t in study.trials]
-    said = f"{counted(len(trials), 'trial')} of {counted(len(recordings), 'recording')}"
-    _deliver_imported(options, out, trials, notes, [f"{out}: {said}"])
+    counts = f"{counted(len(trials), 'trial')} of {counted(len(recordings), 'recording')}"
+    _deliver_imported(options, out, trials, notes, [f"{out}: {counts}"])
 
 
 def _deliver_imported(
@@ -228,7 +228,7 @@ def _propose(options: ImportOptions) -> NoReturn:
 
 
 def _folder(options: ImportOptions) -> Path:
-    """Where the study is to be.  Raises ValueError: it is not said, or hands are not as many."""
+    """Folder of the new study.  Raises ValueError: it is missing, or hands are not as many."""
     if options.out is None:
         raise ValueError("--out is missing: name the folder of the new study, as -o my_study")
     hands = options.hand or []
@@ -266,18 +266,18 @@ def _understood(
 
 
 def _relative(file: Path, folder: Path) -> str:
-    """A file's name as the mapping in a folder says it."""
+    """A file's path relative to the folder of the mapping."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def _proposal_lines(look: StudyOverview) -> list[str]:
-    """What was understood, the most certain first, and what is odd or wrong."""
+    """Interpretation of the data, the most certain first, and what is odd or wrong."""
     groups = dict(list(look.says.items())[::-1]) | {"Odd:": look.odd, "To be mended:": look.wrong}
     return [
         line
-        for head, found in groups.items()
-        if found
-        for line in (head, *(f"  {s}" for s in found))
+        for head, sentences in groups.items()
+        if sentences
+        for line in (head, *(f"  {s}" for s in sentences))
     ]
 
 
@@ -304,9 +304,9 @@ def _write(options: ImportOptions) -> NoReturn:
         for t in study.trials
     ]
     frames = sum(len(t.markers.t_s) for t in study.trials)
-    said = f"{counted(len(trials), 'trial')}, {counted(frames, 'frame')}"
+    counts = f"{counted(len(trials), 'trial')}, {counted(frames, 'frame')}"
     lines = [
-        f"{folder}: {said}, verified by reading back",
+        f"{folder}: {counts}, verified by reading back",
         f"look at it: cell look {folder}; then: cell diagnose {folder}",
     ]
     _deliver_imported(options, folder, trials, notes, lines)

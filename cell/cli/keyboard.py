@@ -22,9 +22,9 @@ KEYS = {
     "h": (MachineEvent.HOLD, "holding; u: go on"),
     "u": (MachineEvent.UNHOLD, MAY_HOLD),
 }
-#: Keys are dropped if this process was halted for so long before it could read them, s.
+#: Keys are dropped if this process was halted for longer before it could read them, s.
 _OLDEST_S = 1.0
-#: How often it is looked whether the terminal is ours again, s.
+#: Interval of the check whether the terminal is ours again, s.
 _LOOK_S = 0.2
 
 
@@ -32,7 +32,7 @@ class Keyboard:
     """Calls `on_key` for every key pressed, in a thread, within a `with`.
 
     Keys come without Enter and are not shown; Ctrl-C stays what it is.  Without a terminal, or in
-    the background, nothing is read: `listens` says whether any key can come.
+    the background, nothing is read: `listens` is False.
     """
 
     def __init__(self, on_key: Callable[[str], None]) -> None:

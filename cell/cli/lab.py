@@ -92,7 +92,7 @@ ReportFile = Annotated[
     typer.Option("--report", help="Write an HTML report to this file; it needs no network."),
 ]
 
-#: Why a command has ended early, by whether a person wanted it.
+#: Why a command has ended early, by whether a person interrupted it.
 ENDED = {True: "interrupted", False: "the limit of work was reached"}
 
 
@@ -160,7 +160,7 @@ def compare(
 
 @dataclass(frozen=True, kw_only=True)
 class _CandidateOptions:
-    """What is tried in a study."""
+    """Options for the candidates of a study."""
 
     effect: Tried = None
     candidates: Candidates = None
@@ -168,7 +168,7 @@ class _CandidateOptions:
     prior: PriorFile = None
 
     def effects(self, progress: Progress) -> list[str]:
-        """Effects that are tried beside the library; those that cannot be are told."""
+        """Candidates in addition to the library; files that are refused are reported."""
         from cell.lab.data.named_effects import candidates_in
 
         if self.candidates is None:
@@ -201,7 +201,7 @@ class _Diagnose(_CandidateOptions):
     workers: Workers = None
 
     def selection(self, progress: Progress) -> EffectSelection:
-        """Effects that are part of the model, and those that are tried.
+        """Effects that are part of the model, and candidates.
 
         raises  as `select_for_diagnosis`
         """
@@ -212,73 +212,73 @@ class _Diagnose(_CandidateOptions):
 
 @app.command(cls=JsonCommand)
 @taking(_Diagnose)
-def diagnose(given: _Diagnose) -> None:
+def diagnose(args: _Diagnose) -> None:
     """Find the physical effect that the model lacks, if it lacks one.
 
     Several studies, each of another cable, get one joint result, or the reason why there is none.
     """
-    if len(given.studies) > 1:
-        _diagnose_jointly(given)
+    if len(args.studies) > 1:
+        _diagnose_jointly(args)
         return
-    (study,) = given.studies
+    (study,) = args.studies
     from cell.api.lab import diagnosed, examined, rules_with, set_up
     from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.report.tables import verdict_line
 
     work = Work(DIAGNOSIS)
-    results, said = given.results or [], ""
+    results, verdict = args.results or [], ""
     with stoppable(work.stop) as interrupted:
         with (
-            refusing(*results, given.report, force=given.force),
+            refusing(*results, args.report, force=args.force),
             working("diagnose") as progress,
         ):
-            if given.workers is not None:
+            if args.workers is not None:
                 raise ValueError(
                     "--workers is of several studies: one is diagnosed on this computer"
                 )
-            selection = given.selection(progress)
-            rules, work.watcher = rules_with(given.check or []), progress.watch
-            fits = set_up(study, selection, given.prior, given.config, progress, tell_notes, work)
-            gc.freeze()  # what is loaded stays: not looked through for garbage again and again
+            selection = args.selection(progress)
+            rules, work.watcher = rules_with(args.check or []), progress.watch
+            fits = set_up(study, selection, args.prior, args.config, progress, tell_notes, work)
+            gc.freeze()  # loaded objects stay: they are excluded from garbage collection
             examination = examined(fits, rules)
             if STDOUT not in results:
-                said = verdict_line(examination.diagnosis)
-                _print_early(said)
+                verdict = verdict_line(examination.diagnosis)
+                _print_early(verdict)
             progress("comparing the models with the trials")
-            result = diagnosed(examination, study, every_step=given.report is not None)
+            result = diagnosed(examination, study, every_step=args.report is not None)
         deliver_result(
             result.to_json(),
             results,
-            lambda: (part for part in result.parts() if part != said),
-            (given.report, result.write_report),
+            lambda: (part for part in result.parts() if part != verdict),
+            (args.report, result.write_report),
         )
     interrupted.end_command()
 
 
 def _print_early(line: str) -> None:
-    """Print a line before the rest is computed; who reads no more is told when all is printed."""
+    """Print a line before the rest is computed; a closed output is reported at the end."""
     with suppress(OutputClosedError, OSError, SystemExit):
         show(line)
         sys.stdout.flush()
 
 
-def _diagnose_jointly(given: _Diagnose) -> None:
-    """One answer of several studies."""
+def _diagnose_jointly(options: _Diagnose) -> None:
+    """One joint result of several studies."""
     from cell.api.lab import rules_with
-    from cell.api.several import found_together
+    from cell.api.several import joint_diagnosis
 
-    outputs = (*(given.results or []), given.report)
-    with refusing(*outputs, force=given.force), working("diagnose") as progress:
-        if given.prior is not None:
+    outputs = (*(options.results or []), options.report)
+    with refusing(*outputs, force=options.force), working("diagnose") as progress:
+        if options.prior is not None:
             raise ValueError("--prior is of one cable; leave it out with several studies")
-        selection = given.selection(progress)
-        rules = rules_with(given.check or [])
-        with workers(given.workers, given.config) as executor:
-            result = found_together(
-                given.studies, selection, given.config, progress, tell_notes, rules, executor
+        selection = options.selection(progress)
+        rules = rules_with(options.check or [])
+        with workers(options.workers, options.config) as executor:
+            result = joint_diagnosis(
+                options.studies, selection, options.config, progress, tell_notes, rules, executor
             )
-    report = given.report, result.write_report
-    deliver_result(result.to_json(), given.results or [], result.parts, report)
+    report = options.report, result.write_report
+    deliver_result(result.to_json(), options.results or [], result.parts, report)
 
 
 @app.command(cls=JsonCommand)
@@ -394,7 +394,7 @@ class _Suggest(_CandidateOptions):
 
 @app.command(cls=JsonCommand)
 @taking(_Suggest)
-def suggest(given: _Suggest) -> None:
+def suggest(args: _Suggest) -> None:
     """Suggest the safe motion that best distinguishes the remaining candidates, and its power.
 
     With `--try NAME`: the motion that best shows that effect.
@@ -409,33 +409,33 @@ def suggest(given: _Suggest) -> None:
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.settings.surroundings import Surroundings
 
-    with refusing(given.out, given.as_json, force=given.force), working("suggest") as progress:
-        surroundings = Surroundings.read(given.config)
-        names, tried = split_effects(given.effects(progress))
-        known = given.known or []
-        asked, selection = (
+    with refusing(args.out, args.as_json, force=args.force), working("suggest") as progress:
+        surroundings = Surroundings.read(args.config)
+        names, tried = split_effects(args.effects(progress))
+        known = args.known or []
+        chosen, selection = (
             select_asked(names, known) if names else ((), select_for_diagnosis(tried, known))
         )
         work = Work(DIAGNOSIS)
         with stoppable(work.stop) as interrupted:
-            files = given.prior, given.config
-            fits = set_up(given.study, selection, *files, progress, tell_notes, work)
-            if not asked:
+            files = args.prior, args.config
+            fits = set_up(args.study, selection, *files, progress, tell_notes, work)
+            if not chosen:
                 diagnosed = diagnose_study(fits)
         work.renew()
-        if not asked and interrupted:
+        if not chosen and interrupted:
             doubts = diagnosed.diagnosis.warnings
             show(verdict_line(diagnosed.diagnosis), *warning_lines(doubts))
             raise typer.Exit(interrupted.code)
         with answering() as interrupted:
-            found = (
-                showing_motion(fits, asked, surroundings)
-                if asked
+            suggestion = (
+                showing_motion(fits, chosen, surroundings)
+                if chosen
                 else suggest_motion(diagnosed, surroundings)
             )
-        result = SuggestResult(found)
+        result = SuggestResult(suggestion)
         if interrupted:
             tell_notes(["interrupted: the result is the best of the motions evaluated so far"])
-    motion = given.out, result.write
-    deliver_result(result.to_json(), [given.as_json], result.parts, motion)
+    motion = args.out, result.write
+    deliver_result(result.to_json(), [args.as_json], result.parts, motion)
     interrupted.end_command()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 app = group()
 
-#: So many cycles are shown unless another number is asked for.
+#: Number of cycles that are shown by default.
 _SHOWN = 20
 
 Since = Annotated[
@@ -108,8 +108,8 @@ class HistoryOptions:
     def check(self) -> None:
         """Raises ValueError: options do not go together."""
         tables = {"--faults": self.faults, "--oee": self.oee, "--losses": self.losses}
-        if len(asked := [name for name, wanted in tables.items() if wanted]) > 1:
-            raise ValueError(f"{' and '.join(asked)} are different tables; give one of them")
+        if len(listed := [name for name, wanted in tables.items() if wanted]) > 1:
+            raise ValueError(f"{' and '.join(listed)} are different tables; give one of them")
         if self.candidate is not None and not (self.losses and self.config):
             raise ValueError(
                 f"--candidate {self.candidate}: is for --losses, with the line's --config; add both"
@@ -118,13 +118,13 @@ class HistoryOptions:
             "--outcome": self.outcome, "--part-id": self.part_id, "--product": self.product,
             "--model": self.model, "--fault": self.fault, "--open": self.open_faults,
         }  # fmt: skip
-        if self.losses and (given := [name for name, value in chosen.items() if value]):
+        if self.losses and (filters := [name for name, value in chosen.items() if value]):
             raise ValueError(
-                f"--losses is about all the time of a line: leave out {', '.join(given)}"
+                f"--losses is about all the time of a line: leave out {', '.join(filters)}"
             )
 
     def query(self, now: datetime) -> LedgerQuery:
-        """Which cycles are asked for.  Raises ValueError: an option is wrong."""
+        """Query for the requested cycles.  Raises ValueError: an option is wrong."""
         from cell.records.folder import UNFINISHED
         from cell.records.ledger.ledger import LedgerQuery
 
@@ -169,7 +169,7 @@ def history(options: HistoryOptions) -> None:
         now = datetime.now(UTC)
         wanted = options.query(now)
         with open_ledger(settings, options.ledger, create=bool(options.take_in)) as ledger:
-            taken = [_import_cycles(ledger, folder, settings) for folder in options.take_in or ()]
+            added = [_import_cycles(ledger, folder, settings) for folder in options.take_in or ()]
             data, parts = _answer(ledger, wanted, options, settings, now)
             exported = _exports(ledger, wanted, options)
 
@@ -177,7 +177,7 @@ def history(options: HistoryOptions) -> None:
         if options.as_json:
             print_json(data)
         else:
-            show(*taken, *parts)
+            show(*added, *parts)
 
     deliver(printed, *exported)
 
@@ -189,7 +189,7 @@ def _answer(
     settings: Settings | None,
     now: datetime,
 ) -> tuple[Any, Sequence[Part]]:
-    """What is asked for, as plain data and as tables."""
+    """Requested data, as plain data and as tables."""
     from cell.cli.cycle_tables import cycles_parts, faults_parts, shifts_parts
 
     if options.faults:
@@ -199,11 +199,11 @@ def _answer(
         from cell.records.ledger.effectiveness import shifts
         from cell.settings.records import LedgerSettings as Section
 
-        given = (None if settings is None else settings.ledger) or Section()
-        begins = [time.fromisoformat(t) for t in given.shifts]
+        section = (None if settings is None else settings.ledger) or Section()
+        begins = [time.fromisoformat(t) for t in section.shifts]
         if options.losses:
             return _losses(ledger, wanted, options.candidate, settings, begins, now)
-        listed_shifts = shifts(ledger, wanted, begins, now, given.ideal_cycle_s)
+        listed_shifts = shifts(ledger, wanted, begins, now, section.ideal_cycle_s)
         return [s.to_json() for s in listed_shifts], shifts_parts(listed_shifts)
     most = options.most if options.as_json else options.most or _SHOWN
     listed = ledger.listed(wanted, most, estimates=options.as_json)
@@ -226,8 +226,8 @@ def _losses(
     if candidate is not None and settings is not None:
         learned = read_forecasts(candidate, settings, ledger)
     ideal_s = None if settings is None or settings.ledger is None else settings.ledger.ideal_cycle_s
-    found = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
-    return [s.to_json() for s in found], losses_parts(found)
+    losses = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
+    return [s.to_json() for s in losses], losses_parts(losses)
 
 
 def faults_json(counts: Sequence[tuple[str, int, str]]) -> list[dict[str, Any]]:
@@ -304,30 +304,30 @@ def ledger_errors() -> Iterator[None]:
         raise ValueError(str(error)) from error
 
 
-def parse_time(said: str | None, now: datetime, option: str) -> datetime | None:
+def parse_time(text: str | None, now: datetime, option: str) -> datetime | None:
     """Parse a typed time; None stays None.
 
-    raises  ValueError: it is no time, or one from which on nothing can have been
+    raises  ValueError: it is no time, or `--since` lies in the future
     """
-    if said is None:
+    if text is None:
         return None
-    found = _time(said, now, option)
-    if option == "--since" and found > now:
+    parsed = _time(text, now, option)
+    if option == "--since" and parsed > now:
         raise ValueError(
-            f"{option} {said}: is to come, it is {now.astimezone():%Y-%m-%dT%H:%M} now; give a "
+            f"{option} {text}: is to come, it is {now.astimezone():%Y-%m-%dT%H:%M} now; give a "
             "time that has been"
         )
-    return found
+    return parsed
 
 
-def _time(said: str, now: datetime, option: str) -> datetime:
+def _time(text: str, now: datetime, option: str) -> datetime:
     try:
-        if ago := re.fullmatch(r"(\d+)([hd])", said):
+        if ago := re.fullmatch(r"(\d+)([hd])", text):
             number = int(ago[1])
             return now - (timedelta(hours=number) if ago[2] == "h" else timedelta(days=number))
-        return datetime.fromisoformat(said).astimezone()
+        return datetime.fromisoformat(text).astimezone()
     except (ValueError, OverflowError) as error:  # before the year 1, or after 9999
-        message = f"{option} {said}: no time; give 2026-11-01, 2026-11-01T06:00, 12h or 7d"
+        message = f"{option} {text}: no time; give 2026-11-01, 2026-11-01T06:00, 12h or 7d"
         raise ValueError(message) from error
 
 
@@ -341,7 +341,7 @@ def _checked_outcome(outcome: str) -> str:
 
 
 def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> str:
-    """Take in the cycles of a folder; what is said of it."""
+    """Import the cycles of a folder into the ledger; a sentence that counts them."""
     from cell.records.ledger.entry import entry_of_folder
     from cell.records.ledger.ledger import LedgerQuery
     from cell.settings.provenance import line_name
@@ -363,7 +363,7 @@ def _import_cycles(ledger: Ledger, folder: Path, settings: Settings | None) -> s
 
 
 def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> list[Delivery]:
-    """Files that are asked for."""
+    """Requested output files, and what writes them."""
     from cell.records.ledger.ledger import need_parquet, write_csv, write_parquet
 
     if options.csv is None and options.parquet is None:
@@ -378,16 +378,16 @@ def _exports(ledger: Ledger, wanted: LedgerQuery, options: HistoryOptions) -> li
 def _ended_by_fault(faults: Sequence[ListedCycle], folder: Path) -> ListedCycle:
     """The cycle of a folder, or that of its name: records may be on other computers.
 
-    raises  ValueError: there is none; or several lines have one of this name
+    raises  ValueError: there is none; or several lines have a cycle of this name
     """
     named = [c for c in faults if c.folder.name == folder.name]
-    found = [c for c in named if c.folder.resolve() == folder] or named
-    if not found:
+    matches = [c for c in named if c.folder.resolve() == folder] or named
+    if not matches:
         raise ValueError(f"{folder.name}: no cycle of this name was ended by a fault")
-    if len(found) > 1:
-        lines = " and of ".join(c.line for c in found)
+    if len(matches) > 1:
+        lines = " and of ".join(c.line for c in matches)
         raise ValueError(f"{folder.name}: is a cycle of {lines}; say which line with --config")
-    return found[0]
+    return matches[0]
 
 
 @app.command()
@@ -425,7 +425,7 @@ def acknowledge(
             raise ValueError("give folders or --all, not both")
         settings = None if config is None else load_settings(config)
         line = None if settings is None else line_name(settings)
-        said = Acknowledgement(datetime.now(UTC), by or user_name(), note)
+        ack = Acknowledgement(datetime.now(UTC), by or user_name(), note)
         with open_ledger(settings, ledger, create=True, must_exist=True) as listed:
             wanted = LedgerQuery(line=line, fault="", acknowledged=None if folders else False)
             faults = listed.listed(wanted)
@@ -436,19 +436,19 @@ def acknowledge(
             if not chosen:
                 raise ValueError("no fault is open: every one was acknowledged, or there was none")
             for cycle in chosen:
-                if cycle.folder.is_dir():  # records of other computers, and removed ones, are not
-                    acknowledge_record(cycle.folder, said.by, note)
-            listed.acknowledge(chosen, said)
+                if cycle.folder.is_dir():  # not those of other computers, and removed ones
+                    acknowledge_record(cycle.folder, ack.by, note)
+            listed.acknowledge(chosen, ack)
     data = [
-        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **said.to_json()}
+        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **ack.to_json()}
         for c in chosen
         if c.fault is not None
     ]
     if as_json:
         print_json(data)
         return
-    for one in data:
-        print(f"acknowledged by {said.by}: {one['fault']}: {one['cause']}: {one['folder']}")
+    for row in data:
+        print(f"acknowledged by {ack.by}: {row['fault']}: {row['cause']}: {row['folder']}")
 
 
 @app.command()
@@ -472,12 +472,12 @@ def actions(
     with refusing(), ledger_errors():
         place: str | Path = ledger or "runs"
         if ledger is None and config is not None:
-            given = load_settings(config).ledger
-            place = (given.url if given is not None else None) or place
-        found = listed_actions(place, parse_time(since, datetime.now(UTC), "--since"), most)
+            section = load_settings(config).ledger
+            place = (section.url if section is not None else None) or place
+        listed = listed_actions(place, parse_time(since, datetime.now(UTC), "--since"), most)
     if as_json:
-        print_json([a.to_json() for a in found])
+        print_json([a.to_json() for a in listed])
         return
-    for a in found:
+    for a in listed:
         done = "" if a.done else "  refused"
         emit(f"{a.at:%Y-%m-%d %H:%M:%S}  {a.by}  {a.action}{done}  {a.note}".rstrip())

@@ -74,7 +74,7 @@ class LearnOptions:
     where: Workers = None
 
     def folders(self, settings: Settings, opened: ExitStack) -> list[Path]:
-        """Folders of the cycles: those given, and those of the ledger if it is named or none are.
+        """Folders of the cycles: the arguments, and those of the ledger if named or without any.
 
         opened  keeps the folders of recordings until it is closed
         """
@@ -89,11 +89,11 @@ class LearnOptions:
         for option, value in (("--since", self.since), ("--runs", self.ledger)):
             cycles += [option, value] if value else []
         cycles = cycles or ["--since", "2000-01-01"]
-        measured = _measured(self.out)
+        measured = _recording_folder(self.out)
         words = [*cycles, *([] if measured in cycles else [measured]), *_line(self.config, product)]
         words += [w for effect in self.effect or () for w in ("--try", effect)]
         words += [] if self.laws is None else ["--laws", self.laws]
-        return _typed(["cell", "learn", *words, "-o", self.out])
+        return _command_line(["cell", "learn", *words, "-o", self.out])
 
 
 @app.command()
@@ -134,25 +134,25 @@ def learn(options: LearnOptions) -> None:
         lines = lines_of(cycles, settings)
         library = select_effects([], own).candidates
         if laws is not None:
-            taken = (*identification.kind.effects, *library.values())
-            more = laws_in(laws, [c.study for c in cycles], taken)
+            known_effects = (*identification.kind.effects, *library.values())
+            more = laws_in(laws, [c.study for c in cycles], known_effects)
         with workers(options.where, config) as executor:
             tried = library | more.effects
-            found = learn_from(
+            learning = learn_from(
                 cycles, cable, identification, tried, progress, known.append, executor=executor
             )
-        learned = judged(found, settings, left_out)
+        learned = judged(learning, settings, left_out)
         result = learned.learned
-        kept = more.keep(result.best.effects if result.best else ())
+        law_files = more.keep(result.best.effects if result.best else ())
         todo, motion = _asking(result, options, settings.product, progress)
     missed = [f"left out: {line}" for line in learned.left_out]
     for line in (*missed, *other_lines(lines, settings)):
         print(line, file=sys.stderr)
-    more_lines = (*(f"the law is written to {path}" for path in kept), *todo)
-    raise typer.Exit(_delivered(learned, more_lines, motion, options))
+    more_lines = (*(f"the law is written to {path}" for path in law_files), *todo)
+    raise typer.Exit(_deliver(learned, more_lines, motion, options))
 
 
-def _delivered(
+def _deliver(
     learned: LearnResult, more: Sequence[str], motion: Sequence[Delivery], options: LearnOptions
 ) -> int:
     """Print what was learned and write the candidate; the exit code."""
@@ -198,25 +198,25 @@ def _line(config: Path, product: str | None) -> list[object]:
     return ["--config", config, *([] if product is None else ["--product", product])]
 
 
-def _typed(words: Sequence[object]) -> str:
+def _command_line(words: Sequence[object]) -> str:
     """A command as it can be typed."""
     return " ".join(shlex.quote(str(w)) for w in words)
 
 
 def _motion(out: Path) -> Path:
-    """Where a motion is written that is asked for; the trial is named after the file."""
+    """File of a requested motion; the trial is named after the file."""
     return out.with_name(re.sub(r"\W", "_", f"{out.stem}_motion") + ".yaml")
 
 
-def _measured(out: Path) -> Path:
-    """Where cables are recorded that are measured because of a candidate."""
+def _recording_folder(out: Path) -> Path:
+    """Folder for recordings of cables that are measured because of a candidate."""
     return out.with_suffix(".measured")
 
 
 def _asking(
     result: LearningResult, options: LearnOptions, product: str | None, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
-    """The motion that tells what these cycles cannot: the commands for it, and its file."""
+    """Commands for the motion that distinguishes the tied effects, and its file."""
     from cell.lab.next.suggest import (
         MOST_ASKED,
         MOST_CANDIDATES,
@@ -229,8 +229,8 @@ def _asking(
     if not result.tied:
         return [], []
     if sum(c.held is None for c in result.cycles) >= MOST_ASKED:  # measured by such a motion
-        told = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
-        return [told], []
+        sentence = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
+        return [sentence], []
     try:
         around = Surroundings.read(options.config, product)
         cable = result.baseline.cables[0]
@@ -242,11 +242,11 @@ def _asking(
     if best is None:
         return ["no safe motion is likely to distinguish the tied effects on these cables"], []
     motion, line = _motion(options.out), _line(options.config, product)
-    words = ["cell", "run", *line, "--motion", motion, "--runs", _measured(options.out)]
+    words = ["cell", "run", *line, "--motion", motion, "--runs", _recording_folder(options.out)]
     lines = [
         f"this motion distinguishes the tied effects with probability {best.power:.2f}: "
         f"{best.motion.describe()}; measure a cable with it, and learn again:",
-        f"  {_typed(words)}",
+        f"  {_command_line(words)}",
         f"  {options.repeated(product)}",
     ]
     return lines, [(motion, partial(write_motion, suggestion))]

@@ -15,20 +15,20 @@ from pathlib import Path
 
 #: Packages whose messages are ours.
 PACKAGES = ("cell", "drivers", "calib")
-#: A file is closed and numbered at this size, and so many old ones are kept, bytes.
+#: Size at which a file is closed and numbered, bytes, and number of stored old files.
 FILE_BYTES, OLD_FILES = 2_000_000, 5
 _FORM = "%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s"
 _TIME = "%Y-%m-%d %H:%M:%S"
 
 
 class _LogFile(RotatingFileHandler):
-    """A rotating file that never disturbs the work: it says once that it cannot be written."""
+    """A rotating file that never disturbs the work: a write error is reported once."""
 
-    _said = False
+    _reported = False
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
-        if not self._said:
-            self._said = True
+        if not self._reported:
+            self._reported = True
             print(f"the log cannot be written: {sys.exc_info()[1]}", file=sys.stderr)
 
 
@@ -57,10 +57,10 @@ def warnings_to_terminal() -> None:
 def to_file(path: Path) -> None:
     """Log to a rotating file from now on, beginning with program, computer and Python.
 
-    A file that cannot be written is said once, on the error stream, and stops nothing.
+    A write error is reported once, on the error stream, and stops nothing.
     """
     _remove(_LogFile)
-    with contextlib.suppress(OSError):  # the handler says it, at its first message
+    with contextlib.suppress(OSError):  # the handler reports it, at its first message
         path.parent.mkdir(parents=True, exist_ok=True)
     handler = _LogFile(path, "a", FILE_BYTES, OLD_FILES, encoding="utf-8", delay=True)
     handler.setFormatter(logging.Formatter(_FORM, _TIME))
@@ -84,7 +84,7 @@ def _add(handler: logging.Handler, level: int) -> None:
 
 
 def _remove(kind: type[logging.Handler]) -> None:
-    """Take out handlers of exactly this kind, as a command given before in one process set them."""
+    """Remove handlers of exactly this kind, set by an earlier command in the same process."""
     for name in PACKAGES:
         logger = logging.getLogger(name)
         for handler in [h for h in logger.handlers if type(h) is kind]:

@@ -51,22 +51,22 @@ class JsonCommand(TyperCommand):
             following = args[i + 1] if i + 1 < len(args) else "--"
             if word == "--json" and (
                 (following.startswith("-") and following != str(STDOUT))
-                or not self.is_complete(self._parsed(ctx, [*args[:i], *args[i + 2 :]]))
+                or not self.is_complete(self._parse(ctx, [*args[:i], *args[i + 2 :]]))
             ):
                 args = [*args[: i + 1], str(STDOUT), *args[i + 1 :]]
         return super().parse_args(ctx, args)
 
-    def is_complete(self, given: Mapping[str, Any]) -> bool:
-        """Whether every required argument has a value; `given` has the words by parameter."""
+    def is_complete(self, values: Mapping[str, Any]) -> bool:
+        """Whether every required argument has a value; `values` by parameter name."""
         return all(
-            isinstance(given.get(str(parameter.name)), str | tuple | list)
+            isinstance(values.get(str(parameter.name)), str | tuple | list)
             for parameter in self.params
             if parameter.param_type_name == "argument" and parameter.required
         )
 
-    def _parsed(self, ctx: Any, args: list[str]) -> Mapping[str, Any]:
-        given: Mapping[str, Any] = self.make_parser(ctx).parse_args(list(args))[0]
-        return given
+    def _parse(self, ctx: Any, args: list[str]) -> Mapping[str, Any]:
+        values: Mapping[str, Any] = self.make_parser(ctx).parse_args(list(args))[0]
+        return values
 
 
 def print_json(data: Any) -> None:
@@ -74,17 +74,17 @@ def print_json(data: Any) -> None:
     emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-#: A file, and what writes it to wherever it is told.
+#: A file, and the function that writes it to a path.
 Delivery = tuple[Path | None, Callable[[Path], object]]
 
 
 def deliver(printed: Callable[[], None], *files: Delivery) -> None:
     """Print a result, then write its files, even if printing or one of the files fails.
 
-    A file that cannot be written where it should be goes to the folder of temporary files, and is
-    told of.  Ends with 1 then.  Ctrl-C or SIGTERM end the printing; the files are written.
+    A file that cannot be written goes to the folder of temporary files instead; this is reported
+    and ends with 1.  Ctrl-C or SIGTERM end the printing; the files are written.
 
-    files   those that are None or the standard output are left out
+    files   None and the standard output are skipped
     raises  OutputClosedError, OSError: the result cannot be printed; its files are written
     """
     unheard: BaseException | None = None
@@ -98,12 +98,12 @@ def deliver(printed: Callable[[], None], *files: Delivery) -> None:
             unheard = error
         with unhindered():
             troubles = [
-                told
+                message
                 for path, write in files
-                if path is not None and path != STDOUT and (told := write_or_rescue(path, write))
+                if path is not None and path != STDOUT and (message := write_or_rescue(path, write))
             ]
-            for told in troubles:
-                print(told, file=sys.stderr)
+            for message in troubles:
+                print(message, file=sys.stderr)
     if unheard is not None:
         raise unheard
     interrupted.end_command()
@@ -133,7 +133,7 @@ def deliver_result(
     deliver(printed, *((place, partial(write_json, data)) for place in places), *files)
 
 
-#: A column of words may be folded to this width before its table is taken apart.
+#: Least width of a folded column of words; below it the table is printed as lines.
 LEAST_WORDS = 12
 
 
@@ -186,7 +186,7 @@ def _widths(data: TableData) -> list[int]:
 
 
 def _rich_table(data: TableData, *, compact: bool = False) -> Table:
-    """The table with its cells as they are: what stands in brackets is no markup."""
+    """The table with verbatim cells: text in brackets is no markup."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text

@@ -33,7 +33,7 @@ app = group()
 
 #: Exit code: no cell runs there.
 NO_CELL = 3
-#: A cell that runs is waited for so long, s: one that compiles on a busy computer answers late.
+#: Time limit for the answer of a running cell, s: one that compiles on a busy computer is slow.
 _ANSWER_S = 30.0
 
 
@@ -168,7 +168,7 @@ def service(
 
 
 def _line_of(config: Path | None) -> str | None:
-    """Line of the settings that are given."""
+    """Line of the settings, if any."""
     if config is None:
         return None
     from cell.settings import load_settings
@@ -190,7 +190,7 @@ def _check_line(line: str | None, now: Status, runs: Path) -> None:
 
 
 def _what_follows(state: CellState, event: MachineEvent | None) -> str:
-    """Where a command that was accepted leads, at once or when the cycle comes to it."""
+    """State that an accepted command leads to, at once or later in the cycle."""
     from cell.run.machine import target_of
 
     to = None if event is None else target_of(state, event)
@@ -237,9 +237,9 @@ def _line(notice: Notice) -> str:
     """A notice as a person reads it."""
     if notice.kind.value == "result":
         return f"result: cycle {notice.data['cycle']} {notice.data['outcome']}"
-    said = ", ".join(
+    values = ", ".join(
         f"{key} {value}"
         for key, value in notice.data.items()
         if value not in (None, "", []) and key not in ("since", "time_s")
     )
-    return f"{notice.kind.value}: {said or 'nothing'}"
+    return f"{notice.kind.value}: {values or 'nothing'}"

@@ -24,17 +24,17 @@ from drivers.threads import GuardedThread, only_logged
 if TYPE_CHECKING:
     from cell.lab.data.work import ModelError
 
-#: Off a terminal a line is printed so often, s: enough to see life, too little to fill a log.
+#: Interval of lines off a terminal, s: enough to see progress, too little to fill a log.
 EVERY_S = 10.0
-#: An estimate that is exceeded by no more than this share of it stands.
+#: An estimate that is exceeded by no more than this fraction is kept.
 SLACK = 0.25
-#: So many pieces tell what one takes: from then on an estimate may grow, too.
+#: Number of pieces that make an estimate reliable: from then on it may grow, too.
 MANY = 20
 LONGER = "longer than thought"
-#: Errors of so many models are drawn as bars.
+#: Number of models whose errors are drawn as bars.
 MOST_BARS = 24
 _BARS = "▁▂▃▄▅▆▇█"
-#: Steps of a cycle that are shown by other words than their names.
+#: Steps of a cycle whose label is not their name.
 _STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 
 
@@ -42,10 +42,9 @@ _STEPS = {"warm_up": "warm up (on a new computer it compiles, once)"}
 class Stage:
     """Stage of a computation: `done` of `total` pieces since `started_s`; total 0 = not countable.
 
-    first   pieces that lay behind when it began
-    ends_s  when it will have ended, of few pieces as first thought or sooner; None = not known
-    late    whether few pieces show that it takes longer: they differ, and an estimate from a few
-            that grows is none
+    first   pieces done before it began
+    ends_s  estimated end; from few pieces it never grows; None = not known
+    late    whether the few pieces so far take longer than estimated
     """
 
     text: str
@@ -57,7 +56,7 @@ class Stage:
     late: bool = False
 
     def then(self, text: str, done: int, total: int, now_s: float) -> Stage:
-        """What is done next: another piece of this part, or another part."""
+        """Next stage: a further piece of this part, or a new part."""
         if not total or total != self.total or done < self.done:
             return Stage(text, done, total, now_s, done)
         if done in (self.done, self.first):
@@ -71,17 +70,17 @@ class Stage:
         return replace(self, text=text, done=done, ends_s=min(ends_s, known_s), late=late)
 
     def line(self, started_s: float, now_s: float) -> str:
-        """For a person: what is done, for how long it has been, about how long this part takes."""
+        """Text for a person: activity, elapsed time, estimated time of this part."""
         words = [self.text]
         if self.total:
             words.append(f"{self.done} of {self.total}")
         words.append(f"{duration(now_s - started_s)} so far")
-        if left := self.remaining(now_s):
-            words.append(f"{left} of this part" if left != LONGER else f"this part: {left}")
+        if rest := self.remaining(now_s):
+            words.append(f"{rest} of this part" if rest != LONGER else f"this part: {rest}")
         return ", ".join(words)
 
     def remaining(self, now_s: float) -> str:
-        """About how long this part still takes; empty = not known yet."""
+        """Estimated remaining time of this part; empty = not known yet."""
         if self.ends_s is None or not self.done < self.total:
             return ""
         if self.late or now_s > self.ends_s:
@@ -90,11 +89,11 @@ class Stage:
 
 
 class Ticker:
-    """Prints a line on the error stream every so often, from a thread of its own, until closed.
+    """Prints a line on the error stream periodically, in its own thread, until closed.
 
-    line     what to print now; empty = nothing
-    every_s  None = as often as usual
-    wait     for so many seconds or until closed, which it returns; None = by the clock
+    line     gives the text to print now; empty = nothing
+    every_s  interval; None = the default
+    wait     waits some seconds, returns whether it was closed; None = by the clock
     """
 
     def __init__(
@@ -122,7 +121,7 @@ class Ticker:
 
 
 def _usual_s() -> float:
-    """Time between two lines, s: as asked for, but no less than 0.1 s."""
+    """Time between two lines, s: as configured, but no less than 0.1 s."""
     try:
         return max(0.1, float(os.environ[PROGRESS_VARIABLE]))
     except (KeyError, ValueError):
@@ -132,8 +131,8 @@ def _usual_s() -> float:
 class ProgressLine:
     """Progress of a long computation, shown: call it as each piece begins; use it as a context.
 
-    The time left is that of the part under way, from the pieces it has behind it.  Of few pieces
-    it only falls.  Errors of fitted models are drawn behind it as bars, or sent to the page that
+    The remaining time is that of the current part, estimated from its pieces so far.  From few
+    pieces it only falls.  Errors of fitted models follow as bars, or are sent to the page that
     began the command.
     """
 
@@ -161,7 +160,7 @@ class ProgressLine:
             print(FIT_ERROR + json.dumps(asdict(error)), file=sys.stderr, flush=True)
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
-        """A piece begins: `done` pieces of `total` lie behind; 0 of 0 = they cannot be counted."""
+        """A piece begins: `done` of `total` are complete; 0 of 0 = they cannot be counted."""
         self._stage = self._stage.then(text, done, total, self._now_s())
         if self._status is not None:
             self._status.update(self.line())
@@ -171,14 +170,14 @@ class ProgressLine:
         self(step.replace("_", " "))
 
     def line(self) -> str:
-        """What would be shown now."""
+        """Text that would be shown now."""
         line = f"{self._command}: {self._stage.line(self._started_s, self._now_s())}"
         drawn = self._console.is_terminal and self._console.encoding.startswith("utf")
         return f"{line}  {error_sparkline(self._errors)}".rstrip() if drawn else line
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """While a person is asked the line is not shown."""
+        """Hide the line while a person answers a prompt."""
         if self._status is not None:
             self._status.stop()
         yield
@@ -203,7 +202,7 @@ class ProgressLine:
 class RunProgress:
     """A line that moves on with every step, on the error stream; off a terminal one every 10 s.
 
-    The time left is that of the cycles left, as long as those so far.
+    The remaining time assumes that the remaining cycles take as long as those so far.
 
     steps  names of those of one cycle, in their order
     """
@@ -249,7 +248,7 @@ class RunProgress:
         return self
 
     def line(self) -> str:
-        """What is said off a terminal."""
+        """Text that is printed off a terminal."""
         return f"run: {self._stage.line(self._started_s, self._now_s())}"
 
     def __exit__(self, *_: object) -> None:
@@ -265,15 +264,15 @@ class RunProgress:
         words = _STEPS.get(step, step.replace("_", " "))
         now_s = self._now_s()
         self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
-        left = self._stage.remaining(now_s)
-        self._progress.update(self._line, description=words, number=number, left=left)
+        remaining = self._stage.remaining(now_s)
+        self._progress.update(self._line, description=words, number=number, left=remaining)
 
     def print_line(self, words: str) -> None:
-        """Print a line that stays, above the one that moves on."""
+        """Print a permanent line above the moving one."""
         self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def hint(self, words: str) -> None:
-        """Say which key does what."""
+        """Show the function of the keys."""
         self._progress.update(self._line, hint=words)
 
 

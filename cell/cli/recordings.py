@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 app = group()
 
-#: So many differences are printed; --json has all.
+#: Number of differences that are printed; --json has all.
 _MOST_PRINTED = 20
 
 
@@ -119,9 +119,9 @@ def report(
     from cell.records.recording.reading import read_recording
 
     with refusing(out, force=force), working("report") as progress:
-        given = newest(runs) if folder is None else folder
-        film = given if given.is_file() else given / form.FILE
-        record = read_record(folder_of(ctx, given))
+        source = newest(runs) if folder is None else folder
+        film = source if source.is_file() else source / form.FILE
+        record = read_record(folder_of(ctx, source))
         progress("drawing")
         page = cycle_page(record, read_recording(film) if film.exists() else None)
     deliver(lambda: None, (out, partial(write_page, page)))
@@ -211,7 +211,7 @@ def replay(options: ReplayOptions) -> None:
 
     of_import = (options.poses, options.frame_rate_hz, options.out)
     with refusing(), working("replay") as progress, TemporaryDirectory() as folder:
-        if any(given is not None for given in of_import):
+        if any(value is not None for value in of_import):
             raise ValueError("--poses, --frame-rate and --out are of --import")
         recorded = read_recording(options.recording)
         replayed = replay_cycle(
@@ -282,10 +282,10 @@ def recover(
     done: list[Recovered] = []
     failed: list[str] = []
     with refusing(out, as_json), working("recover") as progress:
-        found = [file for place in places for file in torn_recordings(place)]
-        if out is not None and len(found) != 1:
-            raise ValueError(f"--out {out}: {len(found)} torn recordings were found, not one")
-        for file in found:
+        torn = [file for place in places for file in torn_recordings(place)]
+        if out is not None and len(torn) != 1:
+            raise ValueError(f"--out {out}: {len(torn)} torn recordings were found, not one")
+        for file in torn:
             progress(str(file))
             try:
                 done.append(recover_in_place(file, out))
@@ -344,14 +344,14 @@ def upload(
             raise InputError.at(config, "is missing; name a store", key="recording.store")
         if not runs.is_dir():
             raise InputError.at(runs, "is missing; give the folder of `cell run --runs`")
-        found = waiting(runs)
+        pending = waiting(runs)
         try:
             store = Store(settings.recording.store)
         except RecordingStoreError as error:
             raise ValueError(str(error)) from error
         with working("upload") as progress:
-            for number, recording in enumerate(found):
-                progress(str(recording), number, len(found))
+            for number, recording in enumerate(pending):
+                progress(str(recording), number, len(pending))
                 try:
                     done += bring(store, recording, line_name(settings), nullcontext) is not None
                 except (RecordingStoreError, OSError) as error:

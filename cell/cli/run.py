@@ -80,11 +80,11 @@ MotionFile = Annotated[
 FOREVER = "forever"
 
 
-def _counted(said: str) -> str:
+def _cycle_count(text: str) -> str:
     """A number of cycles, or `FOREVER`."""
-    if said != FOREVER and not (said.isdecimal() and int(said) >= 1):
-        raise typer.BadParameter(f"{said!r} is neither a whole number >= 1 nor {FOREVER}")
-    return said
+    if text != FOREVER and not (text.isdecimal() and int(text) >= 1):
+        raise typer.BadParameter(f"{text!r} is neither a whole number >= 1 nor {FOREVER}")
+    return text
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class RunOptions:
     cycles: Annotated[
         str,
         typer.Option(
-            callback=_counted,
+            callback=_cycle_count,
             metavar="N|forever",
             help="Number of cables; `forever` = one for every start, as a service.",
         ),
@@ -136,12 +136,12 @@ class RunOptions:
 
     @property
     def laid_out(self) -> int | None:
-        """Number of simulated cables; None = there is always another."""
+        """Number of simulated cables; None = unlimited."""
         return None if self.forever else 0 if self.dry_run else self.count
 
     @property
     def dry_run_speed(self) -> float | None:
-        """Share of full speed of a dry run; None = it is none."""
+        """Fraction of full speed of a dry run; None = no dry run."""
         return self.speed if self.dry_run else None
 
 
@@ -230,7 +230,7 @@ def run(options: RunOptions) -> None:
 
 @contextmanager
 def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
-    """What is wrong before anything moves is said, and ends the command.
+    """Report an error before anything moves, and end the command.
 
     results  of cycles that have ended
     """
@@ -249,7 +249,7 @@ def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
 
 
 def _first(products: Products, options: RunOptions) -> str | None:
-    """The product that the cell is made for; None without products.  Ends with 2: not known."""
+    """Product that the cell is built for; None without products.  Ends with 2: not known."""
     if not products.settings:
         return None
     alone = options.motion is not None or options.dry_run
@@ -264,7 +264,7 @@ def _first(products: Products, options: RunOptions) -> str | None:
 
 
 def _refuse_contradictions(options: RunOptions) -> None:
-    """End with 2 if options do not go together, or an id is none."""
+    """End with 2 if options do not go together, or an id is invalid."""
     if options.speed != 1.0 and not options.dry_run:
         refuse(ValueError(f"--speed {options.speed:g}: {_NEVER_SLOW}"))
     if options.forever and (options.dry_run or options.part_id is not None):
@@ -278,10 +278,10 @@ def _refuse_contradictions(options: RunOptions) -> None:
 def _results(
     made: BuiltCell, plant: PlantEnd, plan: Plan, progress: RunProgress, options: RunOptions
 ) -> Iterator[Result]:
-    """Results of one cycle after another, up to the first that fails; keys hold and go on.
+    """Results of successive cycles, up to the first that fails; keys hold and continue.
 
-    While ids are typed, no key holds the cell.  That the settings' file has another model by now is
-    told once.
+    While ids are typed, no key holds the cell.  A new model in the settings' file is reported
+    once.
     """
     from cell.cli.keyboard import KEYS, MAY_HOLD, Keyboard
     from cell.records.result import Outcome
@@ -294,7 +294,7 @@ def _results(
             cell.command(event, f"key {key}")
             progress.hint(hint)
 
-    said, orders = "", _orders(made.products, progress, options)
+    notice, orders = "", _orders(made.products, progress, options)
     with ExitStack() as listening:
         if options.part_id != SCANNED and listening.enter_context(Keyboard(on_key)).listens:
             progress.hint(MAY_HOLD)
@@ -307,8 +307,8 @@ def _results(
             plant.reporter.cycle(number, part, product)
             result = cell.run_cycle(number, plan, part)
             plant.reporter.result(result)
-            if not said and (said := another_model(options.config, made.products.default)):
-                progress.print_line(said)
+            if not notice and (notice := another_model(options.config, made.products.default)):
+                progress.print_line(notice)
             yield result
             if result.outcome is Outcome.FAILED:
                 return
@@ -317,9 +317,9 @@ def _results(
 def _orders(
     products: Products, progress: RunProgress, options: RunOptions
 ) -> Iterator[tuple[str | None, str | None]]:
-    """Part and product of one cycle after another, as long as it is known what to make.
+    """Part and product of successive cycles, as long as the product is known.
 
-    An id that is typed and means no product is refused, and the next one waited for.
+    A typed id without a product is refused, and the next one is awaited.
     """
     for part in part_ids(options.part_id):
         try:
@@ -348,13 +348,13 @@ def _show(
     from cell.cli.cycle_tables import checks_table, results_table, seconds_table
 
     tables = [checks_table(r) for r in results] if dry_run else [results_table(results)]
-    what = "dry run" if dry_run else "cable"
-    folders = (f"{what} {r.cycle}: {r.folder}" for r in results)
+    name = "dry run" if dry_run else "cable"
+    folders = (f"{name} {r.cycle}: {r.folder}" for r in results)
     show(*tables, seconds_table(results, steps), *notes, *folders)
 
 
 def changes(out: Path, results: Sequence[Result], config: Path, products: Products) -> list[str]:
-    """Sentences on what has changed in the line's cycles, by product, each with a remedy."""
+    """Sentences on changes in the line's cycles, by product, each with a remedy."""
     if not products.settings:
         return _changes(out, results, config, products.default)
     lines = []
@@ -380,13 +380,13 @@ def _changes(out: Path, results: Sequence[Result], config: Path, settings: Setti
     except LedgerError as error:
         return [f"whether anything has changed cannot be said: {error}"]
     of_model = [r for r in history if r.model == results[-1].model]
-    found, common = signals(of_model), mean_error(of_model)
-    lines = [*map(str, found), *([] if common is None else [str(common)])]
-    unforecast = common is not None or any(not s.of_cables for s in found)
+    changes_found, common = signals(of_model), mean_error(of_model)
+    lines = [*map(str, changes_found), *([] if common is None else [str(common)])]
+    unforecast = common is not None or any(not s.of_cables for s in changes_found)
     learn = f"cell learn {out} --config {config}{_of(settings.product)}"
     if unforecast or any(r.model_misses for r in results):
         lines.append(f"to learn what the model lacks: {learn}")
-    elif found:
+    elif changes_found:
         lines.append(
             "each cable is identified anew, so forecasts follow; to test whether the model lacks "
             f"anything now: {learn}"
@@ -406,7 +406,7 @@ def another_model(config: Path, settings: Settings) -> str:
 
     try:
         now, begun = _models(load_settings(config)), _models(settings)
-    except InputError:  # it is being edited: whoever reads it next says what is wrong
+    except InputError:  # it is being edited: the next reader reports the error
         return ""
     changed = [name for name, model in begun.items() if now.get(name, model) != model]
     if not changed:
@@ -432,9 +432,9 @@ def _of(product: str | None) -> str:
 
 
 def _demotion_text(config: Path, settings: Settings, models: tuple[str, str]) -> str:
-    """Take a promoted model back if the settings say so; what was done, or can be.
+    """Take a promoted model back if the settings say so; a sentence with the result or remedy.
 
-    models  hashes of the model that does worse, and of the one before it
+    models  hashes of the worse model and of its predecessor
     """
     from cell.files.input_error import InputError
     from cell.settings import load_settings

@@ -164,7 +164,7 @@ def list_(*, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
 
 
 def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
-    """Do `user add`; `folder` is the older users' folder of OPC UA, which is read, too."""
+    """Do `user add`; `folder`: older users' folder of OPC UA, which is read, too."""
     from cell.plant.users import Role, all_users
 
     try:

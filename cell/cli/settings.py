@@ -68,7 +68,7 @@ def init(
     answers: dict[tuple[str, ...], Any] = {}
     if not yes and _is_interactive():
         for question in questions(kind):
-            answers[question.key] = _prompted(kind, question, answers)
+            answers[question.key] = _ask(kind, question, answers)
     try:
         text = commented(Settings.model_validate(answered(kind, answers)))
     except ValidationError as error:
@@ -121,16 +121,16 @@ def doctor(
         )
     size = picture_size(settings)
     load = CameraLoad(*size, settings.camera.frame_rate_hz, vision_of(settings))
-    found = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
+    checks = check_computer(load, seconds, lambda step: print(f"measuring {step}", file=sys.stderr))
     wanted = settings.recording
     room = None if wanted is None else recording_room(runs, wanted, size[0] * size[1])
-    found.append(check_room(room))
+    checks.append(check_room(room))
     if as_json:
-        print_json([asdict(c) for c in found])
+        print_json([asdict(c) for c in checks])
     else:
-        failing = [f"{c.name}: {c.remedy}" for c in found if not c.met]
-        show(conditions_table(found), "\n".join(failing) or "every condition is met")
-    raise typer.Exit(ALL_DONE if all(c.met for c in found) else NOT_ALL_DONE)
+        failing = [f"{c.name}: {c.remedy}" for c in checks if not c.met]
+        show(conditions_table(checks), "\n".join(failing) or "every condition is met")
+    raise typer.Exit(ALL_DONE if all(c.met for c in checks) else NOT_ALL_DONE)
 
 
 @app.command()
@@ -187,12 +187,12 @@ def schema() -> None:
 
 
 def _is_interactive() -> bool:
-    """Whether somebody can answer."""
+    """Whether prompts can be answered: standard input is a terminal."""
     return sys.stdin.isatty()
 
 
-def _prompted(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
-    """A right answer: whoever gives a wrong one is told why, and asked again."""
+def _ask(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
+    """A valid answer: an invalid one is explained, and the prompt repeated."""
     from cell.settings.starting import answer_of, answer_problem, default
 
     usual = default(kind, question.key)
@@ -268,7 +268,7 @@ def topics() -> dict[str, Path]:
 
 
 def _folder() -> Path:
-    """Where the pages are: in a clone, or where a wheel put them."""
+    """Folder of the pages: in a clone, or as installed by a wheel."""
     clone = Path(__file__).resolve().parents[2] / "docs"
     return clone if clone.is_dir() else Path(sysconfig.get_path("data")) / _INSTALLED
 

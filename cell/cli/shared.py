@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, options, refusing bad input, one interruption."""
+"""Shared by the commands: exit codes, options, refusal of bad input, interruption."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tabl
 def group(name: str | None = None, **more: Any) -> typer.Typer:
     """Typer app for the commands of one module.
 
-    name  of a command that has others below it; None = `cell.cli` takes them in at its top level
-    more  arguments of typer
+    name  of a command with subcommands; None = `cell.cli` adds them at its top level
+    more  arguments of `typer.Typer`
     """
     return typer.Typer(
         name=name,
@@ -77,7 +77,7 @@ def needing(extra: str, need: str, *packages: str) -> Iterator[None]:
 
 
 def user_name() -> str:
-    """Who is logged in; a service may have no name."""
+    """Name of the logged-in user; a service may have none."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -110,7 +110,7 @@ class Interruption:
             raise typer.Exit(self.code)
 
     def give(self, number: int) -> bool:
-        """A signal is there; whether it is the first, of which a person is told."""
+        """Register a signal; whether it is the first, which is reported on the error stream."""
         if self:
             return False
         self._number = number
@@ -120,23 +120,23 @@ class Interruption:
 
 @contextmanager
 def stoppable(stop: Callable[[], None]) -> Iterator[Interruption]:
-    """Let Ctrl-C or SIGTERM call `stop`, which asks for the results so far; the command goes on.
+    """Let Ctrl-C or SIGTERM call `stop`, which ends the work early; the command goes on.
 
     If `stop` raises KeyboardInterrupt, there are no results.
     """
-    given = Interruption()
+    interruption = Interruption()
 
     def ask(number: int, frame: FrameType | None) -> None:
-        given.give(number)
+        interruption.give(number)
         stop()
 
-    with _interrupting(ask, given):
-        yield given
+    with _interrupting(ask, interruption):
+        yield interruption
 
 
-#: Of these a callback drops what is raised in it, and they fail of what they then lack …
+#: Callbacks of these packages drop exceptions, and they fail afterwards …
 _NEVER_WITHIN = ("numba", "llvmlite")
-#: … so that one waits for their end, s.
+#: … so an interruption is retried until they have ended, at this interval, s.
 _POSTPONED_S = 0.05
 
 
@@ -146,10 +146,10 @@ def answering() -> Iterator[Interruption]:
 
     While something is compiled it waits.
     """
-    given = Interruption()
+    interruption = Interruption()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if given.give(number):
+        if interruption.give(number):
             raise_outside(number, frame)
 
     def raise_outside(number: int, frame: FrameType | None) -> None:
@@ -160,8 +160,8 @@ def answering() -> Iterator[Interruption]:
 
     former = signal.signal(signal.SIGALRM, raise_outside)
     try:
-        with _interrupting(interrupt, given):
-            yield given
+        with _interrupting(interrupt, interruption):
+            yield interruption
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, former)
@@ -179,7 +179,7 @@ def unhindered() -> Iterator[None]:
 
 
 def _is_within(frame: FrameType | None) -> bool:
-    """Whether this frame, or one that it was called by, is of the compiler."""
+    """Whether this frame, or one of its callers, belongs to the compiler."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0] in _NEVER_WITHIN:
             return True
@@ -189,28 +189,28 @@ def _is_within(frame: FrameType | None) -> bool:
 
 @contextmanager
 def _interrupting(
-    handler: Callable[[int, FrameType | None], None], given: Interruption
+    handler: Callable[[int, FrameType | None], None], interruption: Interruption
 ) -> Iterator[None]:
-    """Signals that end a command go to a handler; once one was given, no more are heard after.
+    """Pass signals that end a command to a handler; after an interruption they are ignored.
 
-    A command that knows nothing then ends, and says so.
+    A command without results then ends, and prints so.
     """
     responds_after_interrupt()
     former = {s: signal.signal(s, handler) for s in ANSWERED}
     try:
         yield
     except KeyboardInterrupt as error:
-        if not given:
+        if not interruption:
             raise
         known = "".join(f": {word}" for word in error.args if word)
         print(f"there are no results yet, and nothing was written{known}", file=sys.stderr)
-        raise typer.Exit(given.code) from error
+        raise typer.Exit(interruption.code) from error
     finally:
         for s, before in former.items():
-            signal.signal(s, signal.SIG_IGN if given else before)
+            signal.signal(s, signal.SIG_IGN if interruption else before)
 
 
-#: Signals that end what moves a cell, and what they say of why.
+#: Signals that end a command that moves a cell, and the reason that is reported.
 _ENDING = {
     signal.SIGINT: "",
     signal.SIGTERM: "",
@@ -222,22 +222,22 @@ _ENDING = {
 def interrupted_once() -> Iterator[Callable[[], None]]:
     """Let the first Ctrl-C, SIGTERM or closed terminal interrupt; ignore all later ones.
 
-    What was ignored before, as `nohup` has a closed terminal ignored, stays so.
+    Signals that were ignored before, as by `nohup`, stay ignored.
     """
-    given: list[KeyboardInterrupt] = []
+    received: list[KeyboardInterrupt] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if not given:
+        if not received:
             why = _ENDING[signal.Signals(number)]
-            given.append(KeyboardInterrupt(*([why] if why else [])))
-            raise given[0]
+            received.append(KeyboardInterrupt(*([why] if why else [])))
+            raise received[0]
         with suppress(OSError):  # nobody reads it any more
             print("already stopping", file=sys.stderr)
 
     def not_lost() -> None:
-        """Interrupt again: where Python cannot raise, as in a callback, it drops what is raised."""
-        if given:
-            raise given[0]
+        """Interrupt again: exceptions that are raised in a callback are dropped by Python."""
+        if received:
+            raise received[0]
 
     heard = [s for s in _ENDING if signal.getsignal(s) is not signal.SIG_IGN]
     former = {s: signal.signal(s, interrupt) for s in heard}
@@ -252,8 +252,8 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
     """Exit with code 2 and a message, before anything is written, if the input is wrong.
 
-    outputs  files to be written at the end of a long computation: tried at its beginning
-    force    whether they may take the place of what no command wrote; None = there is no `--force`
+    outputs  files to be written after a long computation: checked before it
+    force    whether they may replace files that no command wrote; None = there is no `--force`
     """
     try:
         files = [output for output in outputs if output is not None and output != STDOUT]
@@ -267,7 +267,7 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
         else:
             print(error, file=sys.stderr)
         raise typer.Exit(BAD_INPUT) from error
-    except OSError as error:  # of a name that no file can have, a folder that nobody may enter …
+    except OSError as error:  # of an invalid name, a folder without access, …
         if error.filename is None or no_room(error):
             raise
         print(f"{error.filename}: {error.strerror}; {remedy(error)}", file=sys.stderr)

@@ -48,14 +48,14 @@ def is_in_foreground(descriptor: int) -> bool:
 
 
 class _Unheard(io.FileIO):
-    """An error stream that may be full or gone: what is said there is lost, not the work."""
+    """An error stream that may be full or gone: messages are lost, the work goes on."""
 
-    def write(self, said: Any, /) -> int:
+    def write(self, data: Any, /) -> int:
         """Number of bytes, written or not."""
         try:
-            return super().write(said)
+            return super().write(data)
         except OSError:
-            return len(said)
+            return len(data)
 
 
 def open_streams() -> None:
@@ -99,12 +99,12 @@ def usable_streams() -> Iterator[None]:
             ending = error
         sys.stdout.flush()
     except (OutputClosedError, OSError) as error:
-        closed = _closed(error)
+        closed = _as_closed_output(error)
         if closed is None:
             assert isinstance(error, OSError)
             print(why_not_written(error), file=sys.stderr)
             raise SystemExit(NOT_ALL_DONE) from error
-        # Whatever is left in the buffer would fail again at exit, with a traceback.
+        # The rest of the buffer would fail again at exit, with a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not closed.by_reader:
             with suppress(OSError):  # of a terminal that was closed both are gone
@@ -114,10 +114,10 @@ def usable_streams() -> Iterator[None]:
         raise ending
 
 
-def _closed(error: OutputClosedError | OSError) -> OutputClosedError | None:
-    """Of standard output that takes no more; None = the error is of something else.
+def _as_closed_output(error: OutputClosedError | OSError) -> OutputClosedError | None:
+    """The error as that of a closed standard output; None = it has a different cause.
 
-    Of files an error has the name, or is in words: see `cell.files.rescue.naming`.
+    An error of a file has its name: see `cell.files.rescue.naming`.
     """
     if isinstance(error, OutputClosedError):
         return error

@@ -68,9 +68,9 @@ def study(
             check_new_study(out, force=force)
         if csv is not None and csv.exists() and any(csv.iterdir()) and not force:
             raise ValueError(f"{csv}: is not empty; give another folder, or --force to write there")
-        found, left_out = measured(runs)
+        studies, left_out = measured(runs)
         name = out.name if out is not None else runs[0].name
-        gathered = merge_studies(found, name)
+        gathered = merge_studies(studies, name)
         if out is not None:
             write_study(gathered, out)
         tables = [] if csv is None else write_wide(gathered, csv)
@@ -130,7 +130,7 @@ def look_at_study(
 
 
 def _look(folder: Path) -> StudyOverview:
-    """A study as it is, with all that is known to be wrong and odd.  Raises InputError."""
+    """A study as it is, with all errors and oddities.  Raises InputError."""
     from cell.files.input_error import InputError
     from cell.lab.data.opened_study import open_study, rest_drifts
     from cell.lab.report.look_page import StudyOverview
@@ -200,7 +200,7 @@ class _Power:
 
 @app.command(cls=JsonCommand)
 @taking(_Power)
-def power(given: _Power) -> None:
+def power(args: _Power) -> None:
     """Forecast which effects a diagnosis of this study would find, and from which size on.
 
     The forecast uses the study's own motions, markers and noise. After a few seconds, it prints
@@ -213,17 +213,17 @@ def power(given: _Power) -> None:
     from cell.lab.next.asked import select_asked
     from cell.lab.next.study_power import power_of
 
-    with refusing(*given.results or [], force=given.force), working("power") as progress:
-        asked, selection = select_asked(given.effect, given.known or [])
+    with refusing(*args.results or [], force=args.force), working("power") as progress:
+        chosen, selection = select_asked(args.effect, args.known or [])
         work = Work(DIAGNOSIS)
         with stoppable(work.stop) as interrupted:
-            fits = set_up(given.study, selection, None, given.config, progress, tell_notes, work)
-            fits = planned(fits, given.motion or [])
-            config = given.config if given.verify else None  # no cluster is asked for nothing
-            with workers(given.workers, config) as executor:
-                found = power_of(
-                    fits, asked, given.verify or 0, progress=progress, executor=executor
+            fits = set_up(args.study, selection, None, args.config, progress, tell_notes, work)
+            fits = planned(fits, args.motion or [])
+            config = args.config if args.verify else None  # no jobs, so no cluster
+            with workers(args.workers, config) as executor:
+                forecast = power_of(
+                    fits, chosen, args.verify or 0, progress=progress, executor=executor
                 )
-    result = PowerResult(found)
-    deliver_result(result.to_json(), given.results or [], result.parts)
+    result = PowerResult(forecast)
+    deliver_result(result.to_json(), args.results or [], result.parts)
     interrupted.end_command()

@@ -23,11 +23,11 @@ from cell.cable.statics import settle
 #: everywhere, m: a tenth of the 0.1 mm that an export must keep.  In a swing the error of the
 #: frequency adds up to several times as much: with a third the tip was 0.09 mm off.
 TIP_ERROR_M = 1e-5
-#: Most springs of a hinge, and ratios of one dead band to the one before that are tried: enough for
-#: exponents from 0.6 to 2 and cables of 1 m.
+#: Most springs of a hinge, and tried ratios of successive dead bands: enough for exponents from 0.6
+#: to 2 and cables of 1 m.
 _MOST, _RATIOS = 16, (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
-#: Beyond so many times the range the springs are linear: at the range itself, where an odd spline
-#: has no curvature left, they would miss the law.
+#: Last knot over the range, beyond which the springs are linear: at the range itself an odd spline
+#: has no curvature and would depart from the law.
 _LINEAR_FROM = 1.5
 #: Curvatures at which law and springs are compared.
 _SAMPLES = 500
@@ -35,13 +35,13 @@ _SAMPLES = 500
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """The bending law as a sum of springs: one without a dead band, the others each beyond one.
+    """The bending law as a sum of springs: one without a dead band, the others with one each.
 
     M/EI = Σ a D(κ) + c D(κ)³, D(κ) = sign κ · max(|κ| − dead band, 0); κ in 1/m.
 
     MuJoCo has no |κ|^(N−1).  It has a hinge's spring a x + c x³, and fixed tendons whose spring
-    begins beyond a dead band.  Together they are an odd cubic spline that is linear beyond the last
-    knot, which follows the law as closely as wanted.
+    begins beyond a dead band.  Their sum is an odd cubic spline that is linear beyond the last
+    knot, and approximates the law to any accuracy.
 
     dead_band_1_per_m  (k,), the first is 0
     linear             (k,) a, no unit
@@ -74,22 +74,22 @@ def law(curvature_1_per_m: FloatArray, exponent: float) -> FloatArray:
 def springs_for(exponent: float, length_m: float) -> Springs:
     """The fewest springs whose error moves the tip by less than `TIP_ERROR_M`.
 
-    They follow the law up to the curvature of a cable bent to half a circle, and a little beyond
-    they are linear.
+    They approximate the law up to the curvature of a cable bent to half a circle; a little beyond
+    it they are linear.
     """
     reach = math.pi / length_m
     if exponent == 1.0:
         return Springs(np.zeros(1), np.ones(1), np.zeros(1), 0.0, reach)
     allowed = 2.0 * TIP_ERROR_M / length_m**2
     for number in range(3, _MOST + 1):
-        tried = [_fitted(exponent, reach, number, ratio) for ratio in _RATIOS]
+        tried = [_fit_springs(exponent, reach, number, ratio) for ratio in _RATIOS]
         best = min(tried, key=lambda s: s.error_1_per_m)
         if best.error_1_per_m <= allowed:
             break
     return best
 
 
-def _fitted(exponent: float, reach: float, number: int, ratio: float) -> Springs:
+def _fit_springs(exponent: float, reach: float, number: int, ratio: float) -> Springs:
     """Least squares in curvature: error of the moment over the secant stiffness there."""
     bands = np.concatenate([[0.0], _LINEAR_FROM * reach / ratio ** np.arange(number - 2, -1, -1.0)])
     k = np.linspace(0.0, reach, _SAMPLES + 1)[1:]
@@ -107,12 +107,12 @@ def _fitted(exponent: float, reach: float, number: int, ratio: float) -> Springs
     return Springs(bands, coefficients[:number], coefficients[number:] / reach**2, error, reach)
 
 
-#: Hooks that only see the picture: no physics of the cable.
+#: Hooks that act on the picture only: no physics of the cable.
 _OF_CAMERA = ("camera_time", "camera_points")
 #: Effects that have an element of their own in the exported model.
 _OWN_ELEMENT = (AirDrag, GripAngle, StressRelaxation)
-#: Why hooks cannot be expressed, in the order in which they are looked at.  The other hooks, as
-#: masses, rest shape and length, become numbers of the chain, of a user's own effects too.
+#: Why hooks cannot be expressed, in the order of the checks.  The other hooks, such as masses, rest
+#: shape and length, become numbers of the chain, for a user's own effects too.
 _REASONS = {
     "moment": "a bending moment with memory; a MuJoCo spring has none of this law",
     "force": "a force of the surroundings that is no part of MuJoCo's fluid model",
@@ -123,13 +123,13 @@ _REASONS = {
 }
 
 
-#: Places at which an inertia is looked at.
+#: Number of places at which an inertia is evaluated.
 _PLACES = 101
 
 
 @dataclass(frozen=True)
 class OmittedEffect:
-    """An effect that the export does not have, and why."""
+    """An effect that the export omits, and why."""
 
     name: str
     reason: str
@@ -151,19 +151,19 @@ def why_not(active: ActiveEffect, model: CableModel) -> str | None:
 
 
 def expressible(model: CableModel) -> tuple[CableModel, tuple[OmittedEffect, ...]]:
-    """The model with the effects that MuJoCo can have, and the others with their reasons."""
+    """The model with the effects that MuJoCo can express, and the others with their reasons."""
     reasons = [(active, why_not(active, model)) for active in model.effects]
-    kept = tuple(active for active, reason in reasons if reason is None)
-    left = tuple(
+    expressed = tuple(active for active, reason in reasons if reason is None)
+    omitted = tuple(
         OmittedEffect(a.effect.name, reason) for a, reason in reasons if reason is not None
     )
-    return replace(model, effects=kept), left
+    return replace(model, effects=expressed), omitted
 
 
-def unseen(model: CableModel) -> CableModel:
+def physical(model: CableModel) -> CableModel:
     """The model without the effects that act only on the camera image."""
-    seen = [a for a in model.effects if all(getattr(a.effect, h) is None for h in _OF_CAMERA)]
-    return replace(model, effects=tuple(seen))
+    physical = [a for a in model.effects if all(getattr(a.effect, h) is None for h in _OF_CAMERA)]
+    return replace(model, effects=tuple(physical))
 
 
 def value(model: CableModel, effect: type[Effect], name: str) -> float:
@@ -185,10 +185,10 @@ class Chain:
     rest_rad           (n,) bends free of load
     damping_n_m_s      (n,) of the hinges, per rad
     grip               stiffness, N·m/rad, and damping, N·m·s/rad, of a compliant grip, or None
-    grip_angle_rad     how far the cable is askew between the jaws
+    grip_angle_rad     angle of the cable between the jaws
     air_kg_per_m3      density of a fluid with drag coefficient 1 that drags as the air does
     springs            the law of bending
-    relaxation         share of EI, and time, s, of a Maxwell branch beside every hinge, or None
+    relaxation         share of EI, and time, s, of a Maxwell branch in parallel to a hinge, or None
     """
 
     cable: Cable
@@ -214,9 +214,9 @@ class Chain:
 
 
 def chain_of(model: CableModel, links: int) -> Chain:
-    """The chain of a model that has only effects which a chain can have.
+    """The chain of a model whose effects a chain can express.
 
-    raises  ValueError: fewer than 4 links; effects leave less than a tenth of the cable
+    raises  ValueError: fewer than 4 links; effects shorten the cable to less than a tenth
     """
     (block,) = assemble([model], links, 0.0)
     field = block.state.reshape(links + 1, at.FIELDS, at.LANES)[:, :, 0]

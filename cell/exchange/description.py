@@ -20,7 +20,7 @@ _FRAME = "x right, y up; the cable points along -x at clamp angle 0, positive an
 def description(model: Identified, samples: int = 0) -> dict[str, Any]:
     """The description as plain data; each number has its unit in its name or next to it.
 
-    samples  so many sets of parameters drawn from their distribution, with seed 0
+    samples  number of parameter sets drawn from their distribution, with seed 0
     """
     space, cable = model.space, model.model
     k = space.knots
@@ -80,5 +80,5 @@ def _samples(model: Identified, count: int) -> dict[str, Any]:
 
 
 def _law(effect: type[Effect]) -> str:
-    """What an effect's class says of itself."""
+    """Docstring of an effect's class."""
     return " ".join((inspect.getdoc(effect) or "").split())

@@ -22,18 +22,18 @@ from cell.identify.parameters import ParameterSpace, Prior
 _EXPONENTS = (0.3, 3.0)
 #: Curvatures up to half a circle at which springs are read.
 _SAMPLES = 120
-#: Moments that no hinge of a cable takes, N·m: below those of a hair of a millimetre, beyond those
-#: of a steel rope as thick as an arm.
+#: Range of plausible moments of a hinge, N·m: from a hair of a millimetre to a steel rope as thick
+#: as an arm.
 _MOMENTS_N_M = (1e-15, 1e6)
-#: What the model may not show of springs and dampers before it is told, as shares.
-_TOLD = 0.01
-#: A file has no camera.  The noise that a model must state only scales its residual, which is 0.
+#: Relative error of the model's springs and dampers above which a note is written.
+_NOTED = 0.01
+#: Placeholder, as a file has no camera: a model's noise only scales its residual, which is 0 here.
 _NOISE_M = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class FittedChain:
-    """The model of a chain in a file, and notes on what of the file the model omits."""
+    """The model of a chain in a file, and notes on content that the model omits."""
 
     model: Identified
     notes: tuple[str, ...]
@@ -59,7 +59,7 @@ def model_from_mujoco(path: Path) -> FittedChain:
             "cable's is above 0: see to the springs of its tendons"
         )
         raise InputError.at(path, message, line=chain.lines[weak])
-    if misfit > _TOLD:
+    if misfit > _NOTED:
         notes.append(f"its springs follow the bending law to {misfit:.1%} only")
     log_rigidity = _at_knots(chain, rigidity, notes)
     if np.any(np.abs(chain.rest_rad) > 1e-12):
@@ -70,22 +70,22 @@ def model_from_mujoco(path: Path) -> FittedChain:
     log_viscosity = float(np.log(viscosity)) if viscosity > 0.0 else float(space.low[-1])
     q = np.array([*log_rigidity, exponent, log_viscosity])
     _check_bounds(path, chain, space, q)
-    return FittedChain(_unmeasured(space, q), tuple(notes))
+    return FittedChain(_model_without_data(space, q), tuple(notes))
 
 
 def _at_knots(chain: HingeChain, rigidity: FloatArray, notes: list[str]) -> FloatArray:
-    """(k,) log EI at the knots of a model, by least squares; told where EI(s) is rougher."""
+    """(k,) log EI at the knots of a model, by least squares; adds a note if EI(s) is rougher."""
     knots = min(Prior().knots, len(rigidity))
     basis = knot_basis(knots, tuple(chain.arc_length_m / chain.length_m))
     log_rigidity = np.linalg.lstsq(basis, np.log(rigidity), rcond=None)[0]
     rough = float(np.abs(np.expm1(basis @ log_rigidity - np.log(rigidity))).max())
-    if rough > _TOLD:
+    if rough > _NOTED:
         notes.append(f"EI(s) is smoothed over {knots} knots: it differs by up to {rough:.1%}")
     return np.asarray(log_rigidity)
 
 
 def _check_bounds(path: Path, chain: HingeChain, space: ParameterSpace, q: FloatArray) -> None:
-    """Raise InputError if a parameter is outside of what a fit may find."""
+    """Raise InputError if a parameter is outside the bounds of a fit."""
     for i in np.flatnonzero((q < space.low) | (q > space.high)):
         low, value, high = (float(space.natural(v)[i]) for v in (space.low, q, space.high))
         raise InputError.at(
@@ -96,8 +96,8 @@ def _check_bounds(path: Path, chain: HingeChain, space: ParameterSpace, q: Float
         )
 
 
-def _unmeasured(space: ParameterSpace, q: FloatArray) -> Identified:
-    """A model of which nothing was measured."""
+def _model_without_data(space: ParameterSpace, q: FloatArray) -> Identified:
+    """A model without measurements."""
     covariance = np.linalg.inv(space.precision)
     return Identified(
         space,
@@ -117,38 +117,38 @@ def _unmeasured(space: ParameterSpace, q: FloatArray) -> Identified:
 def _moments(path: Path, chain: HingeChain, k: FloatArray) -> FloatArray:
     """(n, …) moments of the hinges' springs at curvatures (…), 1/m; N·m.
 
-    raises  InputError: some are beyond what numbers can hold, or what any cable has
+    raises  InputError: some overflow, or are implausible for a cable
     """
     low, high = _MOMENTS_N_M
-    found = np.empty((len(chain.springs), len(k)))
+    moments = np.empty((len(chain.springs), len(k)))
     for i, (springs, length) in enumerate(
         zip(chain.springs, chain.curvature_length_m, strict=True)
     ):
         with np.errstate(over="ignore", invalid="ignore"):
-            found[i] = sum(spring(k * length) for spring in springs)
-        most = float(np.abs(found[i]).max())
+            moments[i] = sum(spring(k * length) for spring in springs)
+        most = float(np.abs(moments[i]).max())
         if not low < most < high:
             message = (
                 f"hinge {i + 1} bent to its part of half a circle takes {most:.3g} N·m, must be "
                 f"{low:g} … {high:g} N·m; mind the units of stiffness, N·m/rad"
             )
             raise InputError.at(path, message, line=chain.lines[i])
-    return found
+    return moments
 
 
 def _bending(path: Path, chain: HingeChain) -> tuple[float, FloatArray, float]:
-    """N, EI at the hinges, N·m², and what they miss of the moments, root mean square share."""
+    """N, EI at the hinges, N·m², and their relative error of the moments, root mean square."""
     reach = np.pi / chain.length_m
     k = np.linspace(-reach, reach, _SAMPLES)
     moments = _moments(path, chain, k)
 
     def fitted(exponent: float) -> tuple[FloatArray, float]:
-        """EI of the hinges, each by least squares, and the share that is missed."""
+        """EI of the hinges, each by least squares, and the relative error."""
         shape = law(k, exponent)
         rigidity = moments @ shape / (shape @ shape)
-        left = moments - rigidity[:, None] * shape
+        residual = moments - rigidity[:, None] * shape
         size = np.linalg.norm(moments, axis=1, keepdims=True)
-        return rigidity, float(np.sqrt(np.mean((left / size) ** 2) * len(k)))
+        return rigidity, float(np.sqrt(np.mean((residual / size) ** 2) * len(k)))
 
     linear, missed = fitted(1.0)
     if missed < 1e-9:
@@ -162,12 +162,12 @@ def _bending(path: Path, chain: HingeChain) -> tuple[float, FloatArray, float]:
 
 
 def _viscosity(chain: HingeChain, notes: list[str]) -> float:
-    """C, N·m²·s, of the whole chain; told where it varies."""
+    """C, N·m²·s, of the complete chain; adds a note if it varies."""
     each = chain.damping_n_m_s * chain.curvature_length_m
     mean = float(each.mean())
     if mean == 0.0:
         notes.append("no damping: the viscosity is the least that a model may have")
-    elif np.abs(each - mean).max() > _TOLD * mean:
+    elif np.abs(each - mean).max() > _NOTED * mean:
         notes.append(
             f"viscosity varies from {each.min():.3g} to {each.max():.3g} N·m²·s: the mean is taken"
         )

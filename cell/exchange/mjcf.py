@@ -57,7 +57,7 @@ def without_log() -> Iterator[None]:
 HAND_INERTIA = 1e6
 #: Names of the joints, and motors, that move the gripper: m, m, rad.
 HAND = ("hand_x", "hand_z", "hand_angle")
-#: Name of the entry that says what arc length each hinge stands for.
+#: Name of the entry with the arc length that each hinge represents.
 CURVATURE_LENGTH = "cable_curvature_length_m"
 #: A link's inertia is a strip's; MuJoCo's fluid reads a box from it, whose ends would be dragged
 #: too.  A box this much thinner than the strip has ends that do not count.
@@ -151,7 +151,7 @@ _POINT = 1e-13
 
 
 def _connector(rigid: Connector, chain: Chain, pad: str) -> Iterator[str]:
-    """A body fixed to the last link; its shape, as thick as wide, is for looks.
+    """A body fixed to the last link; its shape, as thick as wide, is for display.
 
     About its length it has a point's inertia: MuJoCo's fluid then drags it as little as the engine.
     """
@@ -206,7 +206,7 @@ def _per_angle(chain: Chain, spring: int, rigidity: float, length_m: float) -> t
 
 
 def _dashpots(chain: Chain) -> Iterator[str]:
-    """Joints beside the cable that flow as its Maxwell branches do: damped, without inertia."""
+    """Auxiliary joints for the flow of the Maxwell branches: damped, without inertia."""
     if chain.relaxation is None:
         return
     for k in range(chain.links):
@@ -243,7 +243,7 @@ def _tendons(chain: Chain) -> Iterator[str]:
 
 
 def _n(value: float) -> str:
-    """A number with all its digits, and no more."""
+    """A number with all its significant digits."""
     return repr(float(value))
 
 

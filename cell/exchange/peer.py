@@ -17,14 +17,14 @@ from cell.exchange.mjcf import mjcf, mujoco_library, resting_qpos, without_log
 from cell.plan.measuring import quintic
 from cell.study.data import Study
 
-#: What an export must keep: the tip's difference to the engine, root mean square, m.
+#: Limit of an export: the tip's difference to the engine, root mean square, m.
 BAR_M = 1e-4
-#: The engine's mesh and step at which it is taken for the truth: a quarter and a third of its
-#: usual ones, whose error of 0.02 mm is of second order in both.
+#: The engine's mesh and step of the reference: a quarter and a third of its usual ones, whose error
+#: of 0.02 mm is of second order in both.
 REFERENCE = Solver(segments=112, step_s=0.25e-3)
 #: The motion with which every export is compared: 50 mm down in 0.3 s, as the cell identifies.
 STROKE_M, STROKE_S, STILL_S, HOLD_S = 0.05, 0.3, 0.1, 0.9
-#: Between two instants at which tips are compared, s.
+#: Interval at which tips are compared, s.
 COMPARED_S = 0.005
 
 
@@ -107,9 +107,9 @@ def mujoco_tip(
     every = round((times_s[1] - times_s[0]) / h)
     tip = data.site("tip").xpos
     mujoco.mj_kinematics(model, data)
-    seen = np.full((len(times_s), 2), np.nan)
-    seen[0] = tip[[0, 2]]
-    unstable = _diverged(mujoco)
+    tips = np.full((len(times_s), 2), np.nan)
+    tips[0] = tip[[0, 2]]
+    unstable = _divergence_warnings(mujoco)
     with without_log():
         for k in range(steps):
             data.ctrl[:] = control[k]
@@ -118,12 +118,12 @@ def mujoco_tip(
                 break
             if (k + 1) % every == 0:
                 mujoco.mj_kinematics(model, data)
-                seen[(k + 1) // every] = tip[[0, 2]]
-    return seen
+                tips[(k + 1) // every] = tip[[0, 2]]
+    return tips
 
 
-def _diverged(mujoco: Any) -> tuple[int, ...]:
-    """Warnings after which MuJoCo has begun anew from its initial state."""
+def _divergence_warnings(mujoco: Any) -> tuple[int, ...]:
+    """Warnings after which MuJoCo has restarted from its initial state."""
     kinds = mujoco.mjtWarning
     return tuple(int(k) for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC))
 

@@ -1,4 +1,4 @@
-"""A cable's model read from MuJoCo's XML: a chain of hinges with springs, ours or another's."""
+"""A cable's model read from MuJoCo's XML: a chain of hinges with springs, from any program."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class HingeChain:
     springs             of every hinge
     rest_rad            (n,) bends free of load
     damping_n_m_s       (n,)
-    density_kg_per_m    that has weight
-    lines               (n,) where the hinges stand in the file
-    notes               what of the file is not read
+    density_kg_per_m    of the mass with weight
+    lines               (n,) lines of the hinges in the file
+    notes               on content of the file that is not read
     """
 
     length_m: float
@@ -76,10 +76,10 @@ _JOINTS = ("joint", "freejoint")
 def element_lines(text: str) -> dict[tuple[str, str], int]:
     """Lines, from 1, by element and name ('' without one); joints of bodies also by number.
 
-    A joint's number is that in document order, as MuJoCo numbers them: ('#joint', '0').  What
-    stands after a mistake has no lines.
+    A joint's number is that in document order, as MuJoCo numbers them: ('#joint', '0').  Elements
+    after a mistake have no lines.
     """
-    found: dict[tuple[str, str], int] = {}
+    lines: dict[tuple[str, str], int] = {}
     open_elements: list[str] = []
     count = 0
 
@@ -88,9 +88,9 @@ def element_lines(text: str) -> dict[tuple[str, str], int]:
         line = parser.CurrentLineNumber
         inside_body = bool(open_elements) and open_elements[-1] in ("body", "worldbody")
         if element not in _JOINTS or inside_body:
-            found.setdefault((element, attributes.get("name", "")), line)
+            lines.setdefault((element, attributes.get("name", "")), line)
         if element in _JOINTS and inside_body:
-            found[("#joint", str(count))] = line
+            lines[("#joint", str(count))] = line
             count += 1
         open_elements.append(element)
 
@@ -102,24 +102,24 @@ def element_lines(text: str) -> dict[tuple[str, str], int]:
     parser.EndElementHandler = end
     with suppress(expat.ExpatError):
         parser.Parse(text, True)
-    return found
+    return lines
 
 
 def line_in(message: str) -> int:
-    """The line that a message of MuJoCo's names; 1 if it names none."""
+    """The line in a message of MuJoCo's; 1 without one."""
     named = re.search(r"\bline(?: number)?[ :=]+(\d+)", message, re.IGNORECASE)
     return int(named[1]) if named else 1
 
 
-#: A chain of 1000 links in our own words has less.
+#: Size limit of a file, bytes: our own chain of 1000 links has less.
 MAX_BYTES = 20_000_000
 #: Fewest hinges from which EI(s) is read: a cubic has four coefficients.
 FEWEST = 4
-#: What a chain may differ from one straight, even line: share of its length, and of its density.
+#: Tolerance for straightness, share of the length, and for uniformity, share of the density.
 STRAIGHT, EVEN = 0.01, 0.02
-#: Hinges are as far apart as this share of the length, or coincide.
+#: Least distance of hinges, share of the length; closer ones coincide.
 NEAR = 1e-6
-#: No hinge of a cable is damped so much.
+#: Upper limit of a plausible damping of a hinge.
 MOST_DAMPING_N_M_S = 1e6
 
 
@@ -135,10 +135,10 @@ def read_chain(path: Path) -> HingeChain:
             model = mujoco.MjModel.from_xml_path(str(path))
             data = mujoco.MjData(model)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        said = " ".join(str(error).split())
-        message = f"MuJoCo cannot read it: {said}; give a chain of hinges with springs, as "
+        reason = " ".join(str(error).split())
+        message = f"MuJoCo cannot read it: {reason}; give a chain of hinges with springs, as "
         message += "`cell export` writes it"
-        raise InputError.at(path, message, line=line_in(said)) from error
+        raise InputError.at(path, message, line=line_in(reason)) from error
     return _MjcfReader(path, model, data, element_lines(text)).chain()
 
 
@@ -198,7 +198,7 @@ class _MjcfReader:
         )
 
     def _hinges(self) -> list[int]:
-        """The joints with springs, from the clamp out, each on the body of the one before."""
+        """The joints with springs, from the clamp out, each on the body of its predecessor."""
         m = self.model
         sprung = (m.jnt_stiffness != 0.0) | np.any(m.jnt_stiffnesspoly != 0.0, axis=1)
         joints = [int(j) for j in np.flatnonzero(sprung)]
@@ -227,15 +227,15 @@ class _MjcfReader:
             before = body
         return joints
 
-    def _hangs_on(self, body: int, other: int) -> bool:
-        """Whether a body is the other's child, with none but fixed bodies between them."""
+    def _hangs_on(self, body: int, ancestor: int) -> bool:
+        """Whether a body is a child of `ancestor`, with only fixed bodies between them."""
         parent = int(self.model.body_parentid[body])
-        while parent not in (0, other) and self.model.body_jntnum[parent] == 0:
+        while parent not in (0, ancestor) and self.model.body_jntnum[parent] == 0:
             parent = int(self.model.body_parentid[parent])
-        return parent == other
+        return parent == ancestor
 
     def _without_grip(self, joints: list[int]) -> list[int]:
-        """The hinges that bend: a compliant grip is one more, before those that lengths are of."""
+        """The hinges that bend, without that of a compliant grip, which precedes them."""
         stated = self._stated_length()
         if stated is None or len(stated) != len(joints) - 1 or len(stated) < FEWEST:
             return joints
@@ -259,13 +259,13 @@ class _MjcfReader:
         arc = (points - clamp) @ along
         off = np.linalg.norm(points - clamp - arc[:, None] * along, axis=1)
         after = np.diff(arc)[1:]  # of every hinge: to the next, or to the tip
-        for j, beside, step in zip(joints, off[1:], after, strict=False):
+        for j, offset, step in zip(joints, off[1:], after, strict=False):
             if not step > NEAR * length:
                 self._refuse(j, "is no nearer to the clamp than what follows", "give links lengths")
-            if beside > STRAIGHT * length:
+            if offset > STRAIGHT * length:
                 self._refuse(
                     j,
-                    f"is {beside * 1e3:.3g} mm off the line from the clamp to the tip",
+                    f"is {offset * 1e3:.3g} mm off the line from the clamp to the tip",
                     "draw the chain straight; bends free of load are `springref`",
                 )
         return np.asarray(arc[1:-1]), length, along
@@ -278,12 +278,12 @@ class _MjcfReader:
         parent = int(self.model.body_parentid[self.model.jnt_bodyid[joints[0]]])
         place = np.array(self.data.xpos[parent])
         spacing = float(np.linalg.norm(anchors[1] - anchors[0]))
-        beside = float(np.linalg.norm(anchors[0] - place))
+        gap = float(np.linalg.norm(anchors[0] - place))
         # half a link is held; anything longer is the gripper or the world
-        return place if parent and beside <= 0.75 * spacing else anchors[0]
+        return place if parent and gap <= 0.75 * spacing else anchors[0]
 
     def _stated_length(self) -> FloatArray | None:
-        """What the file says that its hinges stand for."""
+        """Arc lengths that the file states for its hinges; None = none."""
         m, kind = self.model, self.mujoco.mjtObj.mjOBJ_NUMERIC
         i = self.mujoco.mj_name2id(m, kind, CURVATURE_LENGTH)
         if i < 0:
@@ -292,10 +292,10 @@ class _MjcfReader:
         return np.array(m.numeric_data[start : start + size])
 
     def _curvature_length(self, n: int, arc: FloatArray, length: float) -> FloatArray:
-        """As the file states, else from half-way to the hinge before to half-way to the next.
+        """Stated arc length, else from half-way to the previous hinge to half-way to the next.
 
-        The first and the last stand for as much on both of their sides: a hinge at the clamp with
-        the same spring as the others is of the same cable.
+        The first and the last represent equal lengths on both sides: a hinge at the clamp with the
+        same spring as the others is of the same cable.
         """
         stated = self._stated_length()
         if stated is None:
@@ -317,7 +317,7 @@ class _MjcfReader:
         m = self.model
         rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
         own = (float(m.jnt_stiffness[joint]), *map(float, m.jnt_stiffnesspoly[joint]))
-        found = [Spring(0.0, 0.0, own)]  # type: ignore[arg-type]
+        springs = [Spring(0.0, 0.0, own)]  # type: ignore[arg-type]
         for t in range(m.ntendon):
             start, wraps = int(m.tendon_adr[t]), int(m.tendon_num[t])
             if wraps != 1 or int(m.wrap_objid[start]) != joint:
@@ -326,8 +326,8 @@ class _MjcfReader:
                 continue
             low, high = (float(end) - rest for end in m.tendon_lengthspring[t])
             stiff = (float(m.tendon_stiffness[t]), *map(float, m.tendon_stiffnesspoly[t]))
-            found.append(Spring(low, high, stiff))  # type: ignore[arg-type]
-        return tuple(found)
+            springs.append(Spring(low, high, stiff))  # type: ignore[arg-type]
+        return tuple(springs)
 
     def _density(self, joints: Sequence[int], arc: FloatArray, length: float) -> float:
         """Mass with weight per metre, of all links alike."""
@@ -336,11 +336,11 @@ class _MjcfReader:
         mass = np.array(m.body_mass[bodies] * (1.0 - m.body_gravcomp[bodies]))
         density = mass / np.diff(np.append(arc, length))
         middle = float(np.median(density))
-        for j, one in zip(joints, density, strict=True):
-            if not (one > 0.0 and abs(one - middle) <= EVEN * middle):
+        for j, link in zip(joints, density, strict=True):
+            if not (link > 0.0 and abs(link - middle) <= EVEN * middle):
                 self._refuse(
                     j,
-                    f"moves a link of {one:.4g} kg/m, the chain has {middle:.4g} kg/m",
+                    f"moves a link of {link:.4g} kg/m, the chain has {middle:.4g} kg/m",
                     "give all links one mass per length; a mass at the tip is a body of its own",
                 )
         if np.any(m.body_gravcomp[bodies]):
@@ -352,20 +352,20 @@ class _MjcfReader:
     ) -> tuple[float, float]:
         """Width, along the hinges' axis, and thickness: of the first link that has a shape.
 
-        A round one is a strip as wide that has the same section.
+        A round section becomes a strip of the same width and area.
         """
         m, kinds = self.model, self.mujoco.mjtGeom
         bodies = m.jnt_bodyid[joints]
         round_kinds = (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER))
         shapes = np.isin(m.geom_type, (int(kinds.mjGEOM_BOX), *round_kinds))
-        found = np.flatnonzero(shapes & np.isin(m.geom_bodyid, bodies))
-        if not found.size:
+        visible = np.flatnonzero(shapes & np.isin(m.geom_bodyid, bodies))
+        if not visible.size:
             self._refuse(
                 joints[0],
                 "moves a link without a box, capsule or cylinder",
                 "add one to say how wide and thick the cable is",
             )
-        g = int(found[0])
+        g = int(visible[0])
         size, turn = m.geom_size[g], self.data.geom_xmat[g].reshape(3, 3)
         if m.geom_type[g] in round_kinds:
             return 2.0 * float(size[0]), 0.5 * np.pi * float(size[0])
@@ -413,13 +413,13 @@ class _MjcfReader:
         body = end if kind == int(kinds.mjTRN_BODY) else int(m.site_bodyid[end])
         return {j for j in range(m.njnt) if int(m.jnt_bodyid[j]) == body}
 
-    def _refuse_element(self, element: str, kind: Any, number: int, what: str) -> NoReturn:
+    def _refuse_element(self, element: str, kind: Any, number: int, reason: str) -> NoReturn:
         name = self.mujoco.mj_id2name(self.model, kind, number) or f"number {number}"
         line = self._line_of(element, "")
-        raise InputError.at(self.path, f"{element} {name!r} {what}; remove it", line=line)
+        raise InputError.at(self.path, f"{element} {name!r} {reason}; remove it", line=line)
 
     def _note_unread_elements(self, joints: Sequence[int]) -> None:
-        """Notes of what the file has besides EI, N, viscosity and the datasheet."""
+        """Notes on content of the file besides EI, N, viscosity and the datasheet."""
         m, last = self.model, int(self.model.jnt_bodyid[joints[-1]])
         dofs, gravity = m.jnt_dofadr[joints], self.mujoco.mjtDisableBit.mjDSBL_GRAVITY
         armature = float(m.dof_armature[dofs].max())
@@ -454,10 +454,10 @@ class _MjcfReader:
             if there
         ]  # fmt: skip
 
-    def _refuse(self, joint: int, what: str, remedy: str) -> NoReturn:
+    def _refuse(self, joint: int, reason: str, remedy: str) -> NoReturn:
         line = self._joint_line(joint)
         name = self._name(joint)
-        raise InputError.at(self.path, f"joint {name!r} {what}; {remedy}", line=line)
+        raise InputError.at(self.path, f"joint {name!r} {reason}; {remedy}", line=line)
 
     def _name(self, joint: int) -> str:
         kind = self.mujoco.mjtObj.mjOBJ_JOINT

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all; files of secrets; room on a disk."""
+"""Atomic writes; files of secrets; room on a disk."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
-    """Make `content` the file at `path`, whole or not at all; folders above it are made.
+    """Write `content` to the file at `path` atomically; parent folders are made.
 
-    It is written beside the file and then takes its place, so that a reader meets the former file
-    or this one, and a full disk or a killed program leaves the former.  A link stays a link.
+    It is written to a file next to it and then renamed, so that a reader gets the former file or
+    this one, and a full disk or a killed program leaves the former.  A link stays a link.
 
     raises  OSError: it cannot be written; nothing has changed
     """
@@ -25,7 +25,7 @@ def write_atomic(path: Path, content: str | bytes) -> None:
 def write_all(files: Mapping[Path, str | bytes]) -> None:
     """Write several files: all of them, or none where there is no room for one.
 
-    They take their places in the order given, once all are written.
+    They are renamed in the order of the mapping, once all are written.
     """
     parts: dict[Path, Path] = {}
     made: list[Path] = []
@@ -67,7 +67,7 @@ def write_new(path: Path, content: str | bytes) -> None:
 
 
 def _part(path: Path) -> Path:
-    """Where a file is written before it takes its place; each thread has its own."""
+    """Path of a file before it is renamed; each thread has its own."""
     return path.with_name(f"{path.name}.{threading.get_native_id()}.part")
 
 
@@ -88,7 +88,7 @@ def _take_back(parts: list[Path], made: list[Path]) -> None:
 def named_folder(folder: Path) -> Path:
     """The folder with its own name: `.` and `..` are resolved.
 
-    raises  ValueError: the root of the file system, beside which there is no place; or a file
+    raises  ValueError: the root of the file system, which has no parent; or a file
     """
     if folder.is_file():
         raise ValueError(f"{folder}: is a file; give a folder")
@@ -105,12 +105,12 @@ def free_bytes(place: Path) -> int:
     place = place.absolute()
     while not place.exists():
         place = place.parent
-    found = os.statvfs(place)
-    return found.f_bavail * found.f_frsize
+    filesystem = os.statvfs(place)
+    return filesystem.f_bavail * filesystem.f_frsize
 
 
 def write_secret(path: Path, content: bytes) -> None:
-    """Make `content` the file at `path`, whole or not at all, and readable by its owner only.
+    """Write `content` to the file at `path` atomically, readable by its owner only.
 
     raises  OSError: it cannot be written; nothing has changed
     """

@@ -13,13 +13,13 @@ FloatArray = NDArray[np.float64]
 
 
 SEEN, MODEL, ADDED, NOISE, QUIET = "#222222", "#d1495b", "#00798c", "#5c677d", "#c9ced6"
-#: Of the models between the first and the last.
+#: Colours of the models between the first and the last.
 BETWEEN = ("#edae49", "#7768ae", "#8f5d2b", "#3d8b37", "#c06c9b")
 #: With fewer markers, each is a tick of an axis.
 FEW_MARKERS = 5
-#: Points of a line that are drawn: more are not seen.
+#: Largest number of drawn points of a line: more are not visible.
 MOST_POINTS = 1500
-#: Pixels that a panel, and a name below an axis, need at least to be read.
+#: Least width of a panel, and of a name below an axis, to be legible, px.
 PANEL_PX, NAME_PX = 310, 90
 
 
@@ -97,5 +97,5 @@ def listed(values: FloatArray, digits: int) -> list[float | None]:
 
 
 def thinned(rows: FloatArray) -> FloatArray:
-    """As many of the rows (n, …) of a line as can be seen."""
+    """Rows (n, …) of a line, thinned to the visible number."""
     return np.asarray(rows[:: max(1, len(rows) // MOST_POINTS)])

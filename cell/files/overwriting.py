@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-#: How the files begin that commands write to where a person says.
+#: First bytes of files that commands write to paths of the user.
 _OWN = re.compile(
     rb'\s*\{\s*"format": "(?:cable-|cell-|identified-)[a-z]+/\d+"'
     rb"|format: cell-(?:motion|candidate)/\d+\b"
@@ -25,7 +25,7 @@ def check_output(path: Path, *, force: bool | None = None) -> None:
     """Check that a file can be written here, before the computation whose result it will hold.
 
     force   also over a file that no command wrote; None = the command has no `--force`
-    raises  ValueError: there is a folder, a device or somebody's file, or no right to write
+    raises  ValueError: there is a folder, a device or a user's own file, or no right to write
     """
     if path.is_dir():
         raise ValueError(f"{path}: is a folder; give the name of a file in it")
@@ -34,9 +34,9 @@ def check_output(path: Path, *, force: bool | None = None) -> None:
     there = next(p for p in path.absolute().parents if p.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         raise ValueError(f"{path}: cannot be written, {there} is no folder that may be changed")
-    if path.exists() and not force and (kept := _why_protected(path)):
+    if path.exists() and not force and (protection := _why_protected(path)):
         remedy = "remove it" if force is None else "--force to overwrite it"
-        raise ValueError(f"{path}: is there and {kept}; give another name, or {remedy}")
+        raise ValueError(f"{path}: is there and {protection}; give another name, or {remedy}")
 
 
 def check_distinct(paths: Sequence[Path]) -> None:
@@ -61,7 +61,7 @@ def check_new_study(folder: Path, *, force: bool = False) -> None:
 
 
 def _why_protected(path: Path) -> str:
-    """Why a file is not overwritten unasked; empty = a command wrote it, or nothing is in it."""
+    """Why a file needs `--force` to be overwritten; "" = a command wrote it, or it is empty."""
     with path.open("rb") as file:
         start = file.read(200)
         if start.startswith(_MCAP):

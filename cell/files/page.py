@@ -1,4 +1,4 @@
-"""Self-contained HTML pages from templates, which escape whatever they are given.
+"""Self-contained HTML pages from templates, which escape their content.
 
 A template extends `page.html`.  It shows tables, figures and pictures by the macros of
 `parts.html`.
@@ -49,7 +49,7 @@ class PagePicture:
 
     @staticmethod
     def of(image: NDArray[Any], width_px: int, name: str) -> PagePicture:
-        """Of an image, made as wide as is said."""
+        """Of an image, scaled to a width."""
         height = round(image.shape[0] * width_px / image.shape[1])
         small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
         done, data = cv2.imencode(".jpg", small)
@@ -59,7 +59,7 @@ class PagePicture:
 
 
 def code(text: str) -> Markup:
-    """A docstring's text, what stands between backticks as code."""
+    """A docstring's text as HTML, with text between backticks as code."""
     parts = text.split("`")
     marked = [Markup("<code>{}</code>").format(p) if i % 2 else escape(p)
               for i, p in enumerate(parts)]  # fmt: skip
@@ -93,5 +93,5 @@ def _environment(*templates: Path) -> Environment:
 
 
 def write_page(text: str, path: Path) -> None:
-    """Write a page, whole or not at all."""
+    """Write a page atomically."""
     write_atomic(path, text)

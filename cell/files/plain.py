@@ -11,10 +11,10 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """Mappings, sequences, arrays and named values as what `json.dumps` writes.
+    """Mappings, sequences, arrays and named values as data for `json.dumps`.
 
-    What is not finite becomes None: JSON has no infinity.  Every other number stays the same to
-    the last bit.
+    Numbers that are not finite become None: JSON has no infinity.  All others stay the same to the
+    last bit.
     """
     match value:
         case Mapping():

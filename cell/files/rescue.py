@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-#: Of a disk or a quota that is full, and of a file that may not grow.
+#: Error numbers of a full disk or quota, and of a file that may not grow.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -29,8 +29,8 @@ def why_not_written(error: OSError) -> str:
     if error.errno is None:  # in words already
         return str(error)
     name = error.filename2 or error.filename
-    said = error.strerror if name is None else f"{name}: {error.strerror}"
-    return f"{said}; {remedy(error)}"
+    cause = error.strerror if name is None else f"{name}: {error.strerror}"
+    return f"{cause}; {remedy(error)}"
 
 
 @contextmanager
@@ -45,10 +45,10 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def write_or_rescue(path: Path, write: Callable[[Path], object]) -> str:
-    """Write a file where it should be; else a copy of it to the folder of temporary files.
+    """Write a file to its path; if that fails, a copy to the folder of temporary files.
 
-    write    writes it to wherever it is told, whole or not at all
-    returns  what to tell a person; empty = it is where it should be
+    write    writes it to a path, atomically
+    returns  message for a person; empty = it was written to its path
     """
     try:
         write(path)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 class TableData:
     """Cells as text.
 
-    numbers  columns that stand to the right
+    numbers  right-aligned columns
     note     a sentence below
     colours  at a terminal, by the text of a cell
     ends     rows after which a line is drawn

@@ -1,4 +1,4 @@
-"""Text files that a person gave, read within bounds of size."""
+"""Reads text files from users, with a limit of size."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 from cell.files.input_error import InputError
 
-#: No JSON that the program writes comes near to it: a model has some kilobytes.
+#: Size limit of JSON files, bytes: a model has some kilobytes.
 MAX_JSON_BYTES = 10_000_000
 
 
 def read_text(path: Path, max_bytes: int) -> str:
-    """Text of a regular file in UTF-8, a byte order mark left out.
+    """Text of a regular file in UTF-8, without a byte order mark.
 
     raises  InputError: it is missing, no regular file (a pipe would be waited for), no text, or
             larger than `max_bytes`
@@ -56,10 +56,10 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 def known_json(path: Path) -> dict[str, Any]:
     """The JSON object in a file; empty = the file is missing, damaged or something else."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def read_json_object(path: Path) -> dict[str, Any]:

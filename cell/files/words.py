@@ -9,21 +9,21 @@ import re
 from collections.abc import Sequence
 
 
-def counted(number: int, one: str, several: str | None = None) -> str:
-    """`1 picture`, `2 pictures`: a number and what is counted.
+def counted(number: int, singular: str, several: str | None = None) -> str:
+    """`1 picture`, `2 pictures`: a number with its noun.
 
-    several  None = `one` with an s
+    several  None = `singular` with an s
     """
-    return f"{number} {one if number == 1 else several or f'{one}s'}"
+    return f"{number} {singular if number == 1 else several or f'{singular}s'}"
 
 
-def first_of(said: Sequence[str], most: int, joint: str = ", ") -> str:
-    """The first of some texts, joined, and how many more there are."""
-    more = f" and {len(said) - most} more" if len(said) > most else ""
-    return f"{joint.join(said[:most])}{more}"
+def first_of(texts: Sequence[str], most: int, joint: str = ", ") -> str:
+    """The first `most` texts, joined, and the number of the others."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return f"{joint.join(texts[:most])}{more}"
 
 
-#: Base unit that a prefix may stand before: the first of a unit, without a power.
+#: Base unit that can have a prefix: the first of a unit, without a power.
 _PREFIXED = re.compile(r"(kg|g|N|m|s|rad|Hz|Pa|J|W)(?![\w²³⁴^])")
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 #: Numbers between these need no prefix.
@@ -35,14 +35,14 @@ _NEARLY_ALL = 0.999
 def with_prefix(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     """Values with four digits, and their unit with the SI prefix that the largest needs."""
     largest = max((abs(v) for v in values), default=0.0)
-    found = _PREFIXED.match(unit)
-    if found is None or not 0.0 < largest < float("inf") or _LEAST <= largest < _MOST:
+    matched = _PREFIXED.match(unit)
+    if matched is None or not 0.0 < largest < float("inf") or _LEAST <= largest < _MOST:
         return [f"{v:.4g}" for v in values], unit
-    base, scale = (found[1], 1.0) if found[1] != "kg" else ("g", 1e3)
+    base, scale = (matched[1], 1.0) if matched[1] != "kg" else ("g", 1e3)
     fitting = [e for e in _PREFIXES if largest * scale >= 10.0**e]
     exponent = max(fitting, default=min(_PREFIXES))
     shown = [f"{v * scale / 10.0**exponent:.4g}" for v in values]
-    return shown, _PREFIXES[exponent] + base + unit[found.end() :]
+    return shown, _PREFIXES[exponent] + base + unit[matched.end() :]
 
 
 def percent(share: float) -> str:

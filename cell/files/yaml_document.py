@@ -23,23 +23,23 @@ from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.files.text_file import read_text
 
 Key = tuple[str | int, ...]
-#: Where a complaint belongs, and what it says.
+#: Key and message of a complaint.
 Complaint = tuple[Key, str]
 Model = TypeVar("Model", bound=BaseModel)
 
-#: Settings and studies have some kilobytes; what is far beyond was not meant for this program.
+#: Size limit of a file, bytes: settings and studies have some kilobytes.
 MAX_BYTES = 200_000
-#: Keys and items of a file, those of an alias as often as it is used.
+#: Limit of keys and items of a file, counting an alias each time it is used.
 MAX_ENTRIES = 100_000
 MAX_DEPTH = 20
-#: Complaints about one file that anybody wants to read at once.
+#: Limit of reported complaints about one file.
 MAX_PROBLEMS = 20
 #: Characters of a key that are shown.
 MAX_KEY = 120
 
 MISSING = "is missing; add it"
 
-#: What is said of kinds of mistakes in place of words of JSON.
+#: Messages for kinds of mistakes, in place of terms of JSON.
 _IN_YAML = {
     "model_type": "must hold entries, `key: value`",
     "model_attributes_type": "must hold entries, `key: value`",
@@ -50,7 +50,7 @@ _IN_YAML = {
     "bool_type": "must be true or false",
 }
 
-#: Ending of a key, how many of the smaller unit make one, what to say.
+#: Suffix of a key, factor to the smaller unit, message.
 _SMALLER_UNITS = (
     ("_kg_per_m", 1e3, "give kg/m, not g/m"),
     ("_m_per_s", 1e3, "give m/s, not mm/s"),
@@ -64,7 +64,7 @@ _SMALLER_UNITS = (
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file as plain data, and where each of its keys and list items stands."""
+    """A YAML file as plain data, with the line and column of each key and list item."""
 
     path: Path
     data: Any
@@ -92,8 +92,8 @@ def dotted(key: Key) -> str:
 
 
 class _FlatScanner(Scanner):
-    """Gives up on brackets that no file here needs: it looks at all open ones for every character
-    ahead, seconds for a thousand of them.
+    """Limits the depth of brackets: the scanner checks all open ones for every character ahead,
+    which takes seconds for a thousand of them.
     """
 
     def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:
@@ -109,8 +109,8 @@ def _marked(error: YAMLError) -> TypeGuard[MarkedYAMLError]:
 def read_yaml(path: Path) -> Document:
     """Read a YAML file.
 
-    raises  InputError: the file is missing, is not YAML, gives a key twice, or is larger or more
-            deeply nested than anything it may say
+    raises  InputError: the file is missing, is not YAML, has a key twice, or is too large or too
+            deeply nested
     """
     return document_of(read_text(path, MAX_BYTES), path)
 
@@ -200,14 +200,14 @@ def validate(document: Document, model: type[Model]) -> Model:
     if not isinstance(document.data, dict):
         raise InputError([document.problem((), "must hold `key: value` lines")])
     try:
-        # The strict mode of Python types would refuse lists for tuples; that of JSON is meant.
+        # JSON's strict mode: that of Python types would refuse lists for tuples.
         return model.model_validate_json(json.dumps(document.data, default=str), strict=True)
     except ValidationError as error:
-        told = error.errors()[: 5 * MAX_PROBLEMS]
+        errors = error.errors()[: 5 * MAX_PROBLEMS]
         schema = model.model_json_schema()
-        if (other := _of_another_kind(document, schema)) is not None:
-            raise InputError([other]) from error
-        problems = [_problem(document, details, schema) for details in told]
+        if (wrong_format := _of_another_kind(document, schema)) is not None:
+            raise InputError([wrong_format]) from error
+        problems = [_problem(document, details, schema) for details in errors]
         # A mistyped key is one mistake, not an unknown key and a missing one.
         meant = {
             (p.key.rpartition(".")[0], p.message.rpartition("did you mean ")[2]) for p in problems
@@ -218,7 +218,7 @@ def validate(document: Document, model: type[Model]) -> Model:
             if p.message != MISSING
             or (p.key.rpartition(".")[0], f"{p.key.rpartition('.')[2]!r}?") not in meant
         ]
-        # An entry that may be one of several things has a complaint of each.
+        # An entry of a union type has a complaint of each alternative.
         entries: dict[tuple[int, str], Problem] = {}
         for p in problems:
             first = entries.get((p.line, p.key))
@@ -227,20 +227,20 @@ def validate(document: Document, model: type[Model]) -> Model:
         problems = [*entries.values()]
         problems.sort(key=lambda p: (p.line, p.column or 0))
         if len(problems) > MAX_PROBLEMS:
-            left = error.error_count() - MAX_PROBLEMS
-            problems[MAX_PROBLEMS:] = [document.problem((), f"and {left} more; mend these first")]
+            more = error.error_count() - MAX_PROBLEMS
+            problems[MAX_PROBLEMS:] = [document.problem((), f"and {more} more; mend these first")]
         raise InputError(problems) from error
 
 
 def _of_another_kind(document: Document, schema: dict[str, Any]) -> Problem | None:
-    """That a file is of another format than is asked for: its keys are no mistakes then."""
+    """Problem of a file of a different format; its keys are then no mistakes."""
     wanted = schema.get("properties", {}).get("format", {}).get("const")
-    given = document.data.get("format")
+    stated = document.data.get("format")
     unknown = [k for k in document.data if k not in schema.get("properties", {})]
-    if given is not None and given != wanted:
-        what = "settings of a cell" if wanted is None else f"a file of `format: {wanted}`"
-        return document.problem(("format",), f"is {reprlib.repr(given)}; give {what}")
-    if wanted is not None and given is None and len(unknown) > 1:
+    if stated is not None and stated != wanted:
+        expected = "settings of a cell" if wanted is None else f"a file of `format: {wanted}`"
+        return document.problem(("format",), f"is {reprlib.repr(stated)}; give {expected}")
+    if wanted is not None and stated is None and len(unknown) > 1:
         named = ", ".join(str(k)[:MAX_KEY] for k in unknown[:3])
         message = f"is no file of `format: {wanted}`, and has {named}, which that does not know"
         return document.problem((), f"{message}; give such a file")
@@ -293,7 +293,7 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
 
 
 def _mistaken_unit(name: str, value: float, limit: float) -> str:
-    """What to say of a value that would be possible in the smaller unit; '' if it would not."""
+    """Message about a value that would be valid in the smaller unit; '' if it would not."""
     for ending, factor, advice in _SMALLER_UNITS:
         if name.endswith(ending) and value <= limit * factor:
             return f"; {advice}"
@@ -301,7 +301,7 @@ def _mistaken_unit(name: str, value: float, limit: float) -> str:
 
 
 def _known_keys(schema: dict[str, Any], loc: tuple[int | str, ...]) -> list[str]:
-    """Names allowed where `loc` is, read from the model's JSON schema."""
+    """Names allowed at `loc`, from the model's JSON schema."""
     node: dict[str, Any] = schema
     for part in loc[:-1]:
         node = _resolved(schema, node)
@@ -317,7 +317,7 @@ def _known_keys(schema: dict[str, Any], loc: tuple[int | str, ...]) -> list[str]
 
 
 def _sections_with(schema: dict[str, Any], name: str) -> list[str]:
-    """Sections of the first level in which a key of this name stands."""
+    """Sections of the first level that have a key of this name."""
     sections = schema.get("properties", {}).items()
     return [s for s, node in sections if name in _resolved(schema, node).get("properties", {})]
 

@@ -29,12 +29,12 @@ UNSET: Final = Unset.UNSET
 
 
 def edited(path: Path, text: str, changes: Mapping[Names, Any]) -> str:
-    """The text with entries set or taken out.
+    """The text with entries set or removed.
 
-    path     names the file in complaints
+    path     of the file, for messages
     changes  keys from the outermost level on → plain value, or `UNSET`
-    raises   InputError: the text is no YAML, or is written so that this entry cannot be changed by
-             itself, such as with an alias
+    raises   InputError: the text is no YAML, or this entry cannot be changed alone, as with an
+             alias
     """
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     text = text.removeprefix("\ufeff")
@@ -66,7 +66,7 @@ def last_line(node: Node) -> int:
 
 
 def _is_empty(node: Node) -> bool:
-    """Whether nothing is written for a value: its marks are where the next thing begins."""
+    """Whether a value has no text: its marks are at the beginning of the next token."""
     return isinstance(node, ScalarNode) and node.style is None and node.value == ""
 
 
@@ -83,7 +83,7 @@ def _edit_by_hand(path: Path, key: Names) -> InputError:
 
 
 def _set(data: Any, key: Names, value: Any) -> None:
-    """Change plain data; an entry that is taken out leaves its section, maybe empty."""
+    """Change plain data; the section of a removed entry stays, maybe empty."""
     for name in key[:-1]:
         if value is UNSET and not isinstance(data.get(name), dict):
             return
@@ -106,26 +106,24 @@ def _with(path: Path, text: str, key: Names, value: Any) -> str:
             raise _edit_by_hand(path, key)
         pair = next(((k, v) for k, v in node.value if str(k.value) == name), None)
         if pair is None:
-            return text if value is UNSET else _added(text, node, key[depth:], value)
+            return text if value is UNSET else _add(text, node, key[depth:], value)
         if depth == len(key) - 1:
             if value is UNSET:
-                return _removed(text, node, pair, root=depth == 0)
-            return _replaced(text, *pair, value)
+                return _remove(text, node, pair, root=depth == 0)
+            return _replace(text, *pair, value)
         nothing = isinstance(pair[1], ScalarNode)  # null, to be a section from now on
         empty = isinstance(pair[1], MappingNode) and not pair[1].value
         if nothing or empty:
-            return (
-                text if value is UNSET else _replaced(text, *pair, _nested(key[depth + 1 :], value))
-            )
+            return text if value is UNSET else _replace(text, *pair, _nest(key[depth + 1 :], value))
         node = pair[1]
     raise _edit_by_hand(path, key)
 
 
-def _nested(key: Names, value: Any) -> Any:
-    return _nested(key[:-1], {key[-1]: value}) if key else value
+def _nest(key: Names, value: Any) -> Any:
+    return _nest(key[:-1], {key[-1]: value}) if key else value
 
 
-def _replaced(text: str, key: Node, node: Node, value: Any) -> str:
+def _replace(text: str, key: Node, node: Node, value: Any) -> str:
     if _is_empty(node):
         colon = text.index(":", key.end_mark.index) + 1
         return f"{text[:colon]} {flow(value)}{text[colon:]}"
@@ -135,16 +133,16 @@ def _replaced(text: str, key: Node, node: Node, value: Any) -> str:
     elif not (isinstance(node, ScalarNode) or getattr(node, "flow_style", False)):  # in one line
         colon = text.index(":", key.end_mark.index) + 1
         first = text[colon : _end_of_line(text, key.start_mark.line)]
-        beside = f"  {first.strip()}" if "#" in first else ""
+        comment = f"  {first.strip()}" if "#" in first else ""
         end = _end_of_line(text, last_line(node))
-        return f"{text[:colon]} {flow(value)}{beside}{_line_end(text)}{text[end:]}"
+        return f"{text[:colon]} {flow(value)}{comment}{_line_end(text)}{text[end:]}"
     gap = "" if text[start - 1 : start].isspace() else " "
     return f"{text[:start]}{gap}{flow(value)}{text[end:]}"
 
 
-def _added(text: str, section: MappingNode, key: Names, value: Any) -> str:
+def _add(text: str, section: MappingNode, key: Names, value: Any) -> str:
     if section.flow_style:
-        entry = flow(_nested(key, value))[1:-1]  # without its braces
+        entry = flow(_nest(key, value))[1:-1]  # without its braces
         if not section.value:
             at = section.end_mark.index - 1
             return text[:at] + entry + text[at:]
@@ -159,11 +157,11 @@ def _added(text: str, section: MappingNode, key: Names, value: Any) -> str:
     return text[:at] + start + apart + "".join(line + ends for line in lines) + text[at:]
 
 
-def _removed(text: str, section: MappingNode, pair: tuple[Node, Node], *, root: bool) -> str:
+def _remove(text: str, section: MappingNode, pair: tuple[Node, Node], *, root: bool) -> str:
     key, node = pair
     others = [p for p in section.value if p[0] is not key]
     if not others and not root:
-        return _emptied(text, section)
+        return _empty(text, section)
     if section.flow_style:
         number = next(i for i, p in enumerate(section.value) if p[0] is key)
         if number + 1 < len(section.value):
@@ -176,8 +174,8 @@ def _removed(text: str, section: MappingNode, pair: tuple[Node, Node], *, root: 
     return text[:start] + text[_end_of_line(text, last_line(last)) :]
 
 
-def _emptied(text: str, section: MappingNode) -> str:
-    """A section without entries, where there was one."""
+def _empty(text: str, section: MappingNode) -> str:
+    """The text with a section whose only entry was removed."""
     if section.flow_style:
         return f"{text[: section.start_mark.index]}{{}}{text[section.end_mark.index :]}"
     line = section.start_mark.line
@@ -195,5 +193,5 @@ def _start_of_line(text: str, line: int) -> int:
 
 
 def _end_of_line(text: str, line: int) -> int:
-    """Where the line after this one begins."""
+    """Offset of the beginning of the next line."""
     return _start_of_line(text, line + 1)

@@ -1,4 +1,4 @@
-"""One file with what a maker needs after a failure: log, settings, versions, cycles, ledger."""
+"""One file for the maker after a failure: log, settings, versions, cycles, ledger."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pathlib import Path
 from cell.files.rescue import naming
 from cell.records.recording import form
 
-#: What is put in place of a user's name and password in a URL, or of a word that is said to be one.
+#: Replacement for user name and password in a URL, or for a value that is named as a secret.
 REMOVED = "(removed)"
-#: Not the user alone of a database: its password is elsewhere.
+#: A database's user without a password is not removed.
 _IN_URL = re.compile(r"(?<=://)(?!(?<=postgresql://)[^\s'\":@]+@)[^\s'\"]+@")
 _SAID = re.compile(
     r"(?im)(?P<name>\b[\w-]*(?:password|passwd|secret|token|api_?key)[\w-]*(?<!_file)['\"]?\s*[:=]\s*)"
     r"(?!(?:null|None|~|''|\"\")\s*(?:[,}\]#]|$))"
     r"(?P<value>\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|(?:,(?!\s|$)|[^\s,}{])+)"
 )
-#: Text is cleaned of secrets; other files are taken as they are.
+#: Suffixes of text files, from which secrets are removed; other files are copied as they are.
 _TEXT = frozenset({".csv", ".json", ".log", ".md", ".py", ".txt", ".yaml", ".yml", ""})
-#: These are small already.
+#: Suffixes of compressed files.
 _PACKED = frozenset({".mcap", ".jpg", ".png", ".gz", ".zip"})
 _BLOCK_BYTES = 2**20
 
@@ -44,7 +44,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Bundled:
-    """What `write_bundle` has put into a bundle.
+    """Content of a bundle that `write_bundle` has written.
 
     files     name → bytes
     left_out  name → why
@@ -57,9 +57,9 @@ class Bundled:
 
 
 def without_secrets(text: str) -> str:
-    """The text without users and passwords of URLs, and without values that are named secret.
+    """The text without users and passwords of URLs, and without values that are named as secrets.
 
-    A file's name is none, and neither is null.
+    Names of files and null are no secrets.
     """
     text = _IN_URL.sub(f"{REMOVED}@", text)
     return _SAID.sub(lambda m: m["name"] + REMOVED, text)
@@ -67,8 +67,8 @@ def without_secrets(text: str) -> str:
 
 def packages() -> str:
     """Installed packages, name==version, one a line."""
-    found = {f"{d.metadata['Name']}=={d.version}" for d in distributions()}
-    return "\n".join(sorted(found, key=str.lower)) + "\n"
+    lines = {f"{d.metadata['Name']}=={d.version}" for d in distributions()}
+    return "\n".join(sorted(lines, key=str.lower)) + "\n"
 
 
 def items_of_cycle(folder: Path, *, recordings: bool) -> Iterator[Item]:
@@ -88,12 +88,12 @@ def items_of_log(log: Path) -> Iterator[Item]:
 def write_bundle(
     items: Sequence[Item], path: Path, progress: Callable[[str, int, int], None]
 ) -> Bundled:
-    """Write a ZIP file, whole or not at all, with a manifest of every file's size and SHA-256.
+    """Write a ZIP file atomically, with a manifest of every file's size and SHA-256.
 
-    A recording of settings from which a secret had to be removed is left out: it holds them too.
+    A recording is left out if a secret was removed from its settings: it holds them too.
 
-    progress  told of the name, the number of files written, and of all
-    raises    OSError: the bundle cannot be written; what cannot be read is left out
+    progress  callback: name, number of files written, number of all files
+    raises    OSError: the bundle cannot be written; unreadable files are skipped
     """
     files: dict[str, int] = {}
     hashes: dict[str, str] = {}
@@ -102,7 +102,7 @@ def write_bundle(
     part = path.with_name(f"{path.name}.part")
     try:
         with naming(path), zipfile.ZipFile(part, "w", allowZip64=True) as bundle:
-            # settings first: they say whether the recordings beside them hold secrets
+            # settings first: they show whether the recordings of their folder hold secrets
             for number, item in enumerate(sorted(items, key=_is_recording)):
                 progress(item.name, number, len(items))
                 folder = item.name.rpartition("/")[0]
@@ -145,7 +145,7 @@ def _is_recording(item: Item) -> bool:
 
 
 def _content(item: Item) -> tuple[Path | bytes, bool]:
-    """A file that is taken as it is, or cleaned text; whether a secret was removed from it."""
+    """A file to copy unchanged, or cleaned text; and whether a secret was removed."""
     if isinstance(item.content, str):
         return item.content.encode(), False
     if item.content.suffix not in _TEXT and ".log." not in item.content.name:

@@ -1,10 +1,10 @@
 """Control charts over a line's cycles: whether forecasts, fits or cables have changed, since when.
 
 Two quantities, each on an individuals' chart for a sudden change and on an EWMA chart for a slow
-one: the error of the tip's height in the opening over what the forecast expects of it, and the
-logarithm of what the model misses while the cable swings, over the noise.  Two more by the mean of
-the newest five, for cables of a batch differ: mean log EI, and log viscosity beyond what goes with
-EI.
+one: the error of the tip's height in the opening over its forecast standard deviation, and the
+logarithm of the model's rms residual of the swing over the noise.  Two more use the mean of the
+newest five, because cables of a batch differ: mean log EI, and log viscosity after regression on
+log EI.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from scipy import special
 from cell.cable.arrays import FloatArray
 from cell.records.result import Result
 
-#: All charts together give at most one false alarm in so many cycles.
+#: Mean number of cycles between false alarms of all charts together.
 FALSE_ALARM_CYCLES = 1000.0
 CHARTS = 6
 #: Weight of the newest value in the moving average.
 WEIGHT = 0.2
-#: Cycles that must have been before a cycle is judged by them.
+#: Number of earlier cycles that are needed to judge a cycle.
 FEWEST_BEFORE = 8
-#: Added, in square, to the scatter that cables show, because a few are odd without any effect: of
-#: the forecast's error over what it expects, so that a single error of less than about twice that
-#: is no alarm, and of what a model misses over the noise (logarithm).
+#: Added in quadrature to the scatter of cables, because a few are outliers without any effect: for
+#: the normalised forecast error, so that a single error below about 2 standard deviations is no
+#: alarm, and for the log ratio of residual and noise.
 LEAST_FORECAST, LEAST_MISSED = 0.5, 0.05
-#: The same of cables' log EI and log viscosity: a change below it is nobody's concern.
+#: The same for cables' log EI and log viscosity: a smaller change is negligible.
 LEAST_CABLES = 0.02
-#: So many cables are judged together by their parameters.
+#: Number of cables whose mean parameters are judged.
 TOGETHER = 5
 
 
@@ -41,12 +41,12 @@ TOGETHER = 5
 class ChartSignal:
     """A quantity that is outside its control limits.
 
-    what      in words
+    what      description
     since     folder of the first cycle of the change
     at        folder of the cycle at which it was noticed
-    cycles    so many cycles since then
-    before, after   root mean square before and since, m; of the cables' parameters what they are
-                    times those before, so that `before` is 1
+    cycles    number of cycles since then
+    before, after   root mean square before and since, m; for the cables' parameters the ratio to
+                    those before, so that `before` is 1
     of_cables       whether it is the cables that have changed, not how well they are forecast
     """
 
@@ -99,13 +99,13 @@ def _of_swings(results: Sequence[Result]) -> list[ChartSignal]:
 
 
 def _of_cables(results: Sequence[Result]) -> list[ChartSignal]:
-    """EI and viscosity, as every cable was identified: nothing else shows them if fits follow."""
-    found = []
+    """Signals of EI and viscosity as identified: forecasts do not show them if every fit adapts."""
+    charts = []
     known = [(r.folder, *logs) for r in results if (logs := _rigidity_and_viscosity(r.parameters))]
     folders = [folder for folder, _, _ in known]
     rigidity = np.array([x for _, x, _ in known])
     viscosity = np.array([y for _, _, y in known])
-    for what, values, of in (
+    for name, values, of in (
         ("cables' EI", rigidity, None),
         ("cables' viscosity, for their EI,", viscosity, rigidity),
     ):
@@ -119,10 +119,10 @@ def _of_cables(results: Sequence[Result]) -> list[ChartSignal]:
         newest = np.cumsum(away[at : before.stop - 1 : -1])  # of the newest one, two, … five
         since = at - int(np.argmax(np.abs(newest) / np.sqrt(np.arange(1, TOGETHER + 1))))
         after = float(np.exp(np.mean(away[since:])))
-        found.append(
-            ChartSignal(what, folders[since], folders[at], len(folders) - since, 1.0, after, True)
+        charts.append(
+            ChartSignal(name, folders[since], folders[at], len(folders) - since, 1.0, after, True)
         )
-    return found
+    return charts
 
 
 def _rigidity_and_viscosity(parameters: Mapping[str, float]) -> tuple[float, float] | None:
@@ -135,18 +135,18 @@ def _rigidity_and_viscosity(parameters: Mapping[str, float]) -> tuple[float, flo
 
 
 def _signal(
-    what: str, folders: Sequence[str], sizes_m: FloatArray, change: tuple[int, int]
+    name: str, folders: Sequence[str], sizes_m: FloatArray, change: tuple[int, int]
 ) -> ChartSignal:
     since, at = change
     before = float(np.sqrt(np.mean(sizes_m[:since] ** 2)))
     after = float(np.sqrt(np.mean(sizes_m[since:] ** 2)))
     if after < before:
-        what = what.replace("more", "less")
-    return ChartSignal(what, folders[since], folders[at], len(folders) - since, before, after)
+        name = name.replace("more", "less")
+    return ChartSignal(name, folders[since], folders[at], len(folders) - since, before, after)
 
 
 def _change(q: FloatArray, slow: bool = True) -> tuple[int, int] | None:
-    """Index of the first value after a change, and of the one at which it shows; None if none.
+    """Index of the first value after a change, and of its detection; None if there is none.
 
     q     standard normal; nan = not judged
     slow  whether a moving average may show it, too
@@ -173,12 +173,12 @@ def standard_normal(
 ) -> FloatArray:
     """(n,) standard normal values if `values` are normal of any mean and size.
 
-    Each is judged by those before it alone, so that nobody has to know mean and size beforehand;
-    nan while they are too few.
-    least     added to their size, in square: with it what is smaller is no change
-    of        (n,) what the mean depends on, in a straight line: that, too, as those before show it
-    together  the mean of so many, the newest the one in this place, is judged by those before them;
-              of one each the results are independent
+    Each is judged by earlier values alone, so mean and scatter need not be known beforehand; nan
+    while they are too few.
+    least     added in quadrature to their scatter, so that smaller changes give no signal
+    of        (n,) regressor of the mean, which is linear in it, estimated from earlier values
+    together  number of values, the newest at this index, whose mean is judged by earlier ones;
+              for 1 the results are independent
     source    Quesenberry 1991, SPC Q charts for start-up processes, J. Qual. Technol. 23, 213; with
               `of`, recursive residuals: Brown, Durbin & Evans 1975, J. R. Stat. Soc. B 37, 149
     """
@@ -207,8 +207,8 @@ def standard_normal(
 def _newest_and_before(
     x: FloatArray, y: FloatArray, n: NDArray[np.int64], together: int
 ) -> tuple[FloatArray, FloatArray]:
-    """By how much the mean of y[n : n + together] differs from that of the n before; of these the
-    sum of products of x and y about their means.
+    """Difference between the mean of y[n : n + together] and that of the n values before; the sum
+    of products of x and y of these about their means.
     """
     sum_x, sum_y = np.cumsum(x), np.cumsum(y)
     mean = sum_y[n - 1] / n

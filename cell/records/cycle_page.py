@@ -24,10 +24,10 @@ from cell.records.recording.reading import Recording
 from cell.records.result import Correction, Outcome, Result
 
 #: Pictures of the film strip: two rows on the page.  Widths in pixels: of these, and of a picture
-#: whose legend must be read.
+#: with a legend.
 STRIP, STRIP_PX, PICTURE_PX = 10, 420, 900
 _GOOD = (Outcome.INSERTED, Outcome.MEASURED, Outcome.REHEARSED)
-#: Numbers of a result: entry, heading, unit, how many of it are one SI unit.
+#: Numbers of a result: entry, heading, unit, factor from the SI unit.
 _NUMBERS = (
     ("offset_m", "offset", "mm", 1e3),
     ("delay_s", "rested before", "s", 1.0),
@@ -54,14 +54,14 @@ _DECISION = (
     ("margin_std_m", "its standard deviation, mm", 1e3, ".2f"),
     ("probability", "passes with, %", 100.0, ".1f"),
 )
-#: A forecast is trusted within so many of its standard deviations.
+#: Half-width of the band of a forecast, in its standard deviations.
 LIMIT_STDS = 3.0
 
 
 def cycle_page(record: Recorded, recording: Recording | None) -> str:
     """The page; without a recording it lacks film strip, states and decision."""
     result = record.result
-    says, good = how_it_ended(record)
+    ending, good = how_it_ended(record)
     decision = None if recording is None else recording.last(form.DECISION)
     flight = flight_of(record, recording)
     tip = _tip_path(flight)
@@ -70,16 +70,16 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         Path(__file__).parent / "templates",
         "cycle.html",
         f"Cycle {record.cycle}: {record.folder.name}",
-        says=says,
+        says=ending,
         good=good,
         part=None if result is None else result.part,
         numbers=None if result is None else numbers_table(result),
         missing="" if recording is None else _missing(recording),
         strip=None if recording is None else _strip(recording),
-        seen=_seen(record),
+        seen=_overlay_pictures(record),
         tip=None if tip is None else Plot.of(tip),
         decision=None if decision is None else _decision(decision, result),
-        decision_says="" if decision is None else _decided(decision),
+        decision_says="" if decision is None else _rejection_text(decision),
         stops=() if result is None else result.stops,
         corrections=None if result is None else _corrections(result.corrections),
         parameters=None if record.model is None else parameters_table(record.model),
@@ -94,16 +94,16 @@ def how_it_ended(record: Recorded) -> tuple[str, bool]:
     if result is None:
         return f"ended without a result in step {record.step}: it runs or was killed", False
     good = result.outcome in _GOOD
-    said = result.outcome.value + (f" at offset {_mm(result.offset_m)}" if good else "")
+    text = result.outcome.value + (f" at offset {_mm(result.offset_m)}" if good else "")
     if result.reason:
-        said += f": {result.reason}"
+        text += f": {result.reason}"
     if (fault := result.fault) is not None:
-        said += f" in step {fault.step}: {fault.cause}. {fault.remedy} {fault.cable}".rstrip()
-    return said, good
+        text += f" in step {fault.step}: {fault.cause}. {fault.remedy} {fault.cable}".rstrip()
+    return text, good
 
 
 def numbers_table(result: Result) -> TableData:
-    """What was forecast and measured, with units."""
+    """Forecast and measured numbers, with units."""
     rows = [
         [name, percent(value) if key == "probability" else f"{value * size:.4g}", unit]
         for key, name, unit, size in _NUMBERS
@@ -136,7 +136,7 @@ def _mm(length_m: float | None) -> str:
 
 
 def _strip(recording: Recording) -> list[PagePicture]:
-    """Frames evenly over both films, with the cable as it was seen."""
+    """Frames evenly over both films, with the detected cable."""
     count, corners_px = recording.count(form.IMAGE), corners_of(recording.last(form.CYCLE))
     chosen = set(np.linspace(0, count - 1, min(STRIP, count)).round().astype(int).tolist())
     shown = []
@@ -158,14 +158,14 @@ def _missing(recording: Recording) -> str:
     )
 
 
-def _seen(record: Recorded) -> list[PagePicture]:
+def _overlay_pictures(record: Recorded) -> list[PagePicture]:
     """The pictures of the folder that can be read."""
     read = [(path.stem, cv2.imread(str(path))) for path in pictures_in(record.folder)]
     return [PagePicture.of(image, PICTURE_PX, name) for name, image in read if image is not None]
 
 
 def _tip_path(flight: TipFlight) -> go.Figure | None:
-    """The tip of the execution as seen, and as it was forecast, and the destination."""
+    """Measured and forecast path of the tip in the execution, and the destination."""
     if not len(flight.planned_m) and not len(flight.seen_m):
         return None
     figure = go.Figure()
@@ -188,8 +188,8 @@ def _draw(figure: go.Figure, xy_m: NDArray[np.float64], name: str, colour: str) 
     figure.add_scatter(x=x, y=y, name=name, mode=mode, marker=marker, line=line)
 
 
-def _decided(decision: Mapping[str, Any]) -> str:
-    """Why no offset was taken, if none was."""
+def _rejection_text(decision: Mapping[str, Any]) -> str:
+    """Why no offset was chosen; "" if one was."""
     none = decision["offset_m"] is None
     return f"No offset was taken: {decision['reason']}." if none else ""
 
@@ -246,10 +246,10 @@ class TipFlight:
     """The tip of an executed motion; empty arrays = not known.
 
     seen_m         (n, 2) path from the pictures
-    planned_m      (p, 2) predicted path of the motion as it was chosen
+    planned_m      (p, 2) predicted path of the chosen motion
     destination_m  (5, 2) closed outline
-    t_s            (m,) from the beginning of the motion, of frames in which the tip was seen
-    error_m        (m, 2) seen minus predicted, with corrections in flight, in these frames
+    t_s            (m,) from the beginning of the motion, of frames in which the tip was detected
+    error_m        (m, 2) measured minus predicted, with corrections in flight, in these frames
     inside_s       (2,) first and last of these times in the destination
     limit_m        three standard deviations of the predicted margin; None = not known
     """
@@ -264,7 +264,7 @@ class TipFlight:
 
 
 def flight_of(record: Recorded, recording: Recording | None) -> TipFlight:
-    """What is known of the flight in a cycle."""
+    """Flight of the tip in a cycle, as far as it is known."""
     decision = None if recording is None else recording.last(form.DECISION)
     settings = None if recording is None else recording.last(form.SETTINGS)
     passage = None if recording is None else recording.last(form.PASSAGE)

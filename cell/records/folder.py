@@ -1,4 +1,4 @@
-"""The folder that a cycle leaves behind, written while it happens and readable at any moment.
+"""The folder of a cycle's records, written while it happens and readable at any moment.
 
 runs/<time>-<n>/
   state.json      where the cycle is, or was when it ended; `closed` once nothing more comes
@@ -6,7 +6,7 @@ runs/<time>-<n>/
   study/          identification and execution, in the form cable-study/1
   model.json      this cable's parameters
   result.json     how it ended
-  *.jpg           pictures with what was seen and predicted drawn over them
+  *.jpg           pictures with an overlay of detections and predictions
   reserve         room on the disk for the cycle's end; gone when it is closed
 
 The past cycles in a folder of such folders are summarised by their outcomes and pictures.
@@ -36,7 +36,7 @@ from cell.records.result import Result
 from cell.study.data import Study
 from cell.study.folder import read_study, write_study
 
-#: Of pictures with lines drawn over them: an eighth of the bytes of PNG, to the eye the same.
+#: JPEG quality of pictures with an overlay: an eighth of the bytes of PNG, without visible loss.
 JPEG_QUALITY = 90
 
 FORMAT = "cable-cycle/1"
@@ -55,9 +55,9 @@ class RecordError(OSError):
 
 
 class Record:
-    """Writes one cycle's folder.  Every file is replaced whole, so that none is ever half there.
+    """Writes one cycle's folder.  Every file is replaced atomically.
 
-    Room for how the cycle ends is reserved at its beginning, and used when the disk is full.
+    Room for the result is reserved at the beginning, and used when the disk is full.
 
     raises  RecordError, from every method
     """
@@ -74,7 +74,7 @@ class Record:
         self._state["started"] = at
 
     def check_room(self) -> None:
-        """Whether a cycle may begin.  Raises RecordError: the disk has no room for its record."""
+        """Raise RecordError if the disk has no room for the record of a cycle."""
         free = free_bytes(self.folder)
         if free < LEAST_FREE_BYTES:
             raise RecordError(
@@ -88,8 +88,8 @@ class Record:
         self._write("state.json", _json(self._state))
 
     def note(self, **entries: Any) -> None:
-        """Replace entries of `state.json` when it is written next: a gripper that waits cannot wait
-        for a disk.
+        """Replace entries of `state.json` at the next write: a waiting gripper must not wait for a
+        disk.
         """
         self._state.update(entries)
 
@@ -115,7 +115,7 @@ class Record:
             self._write(f"{name}.jpg", data.tobytes())
 
     def close(self, result: Result) -> None:
-        """Write the result and the mark that nothing more comes."""
+        """Write the result and the mark that the record is complete."""
         self.use_reserve()
         self._write("result.json", _json(result.to_json()))
         self.state(closed=True, outcome=result.outcome.value)
@@ -131,7 +131,7 @@ class Record:
 
     @contextmanager
     def _write_errors(self) -> Iterator[None]:
-        """What the system refuses, in words, with the folder."""
+        """Turn an OSError into RecordError, with the folder."""
         try:
             yield
         except OSError as error:
@@ -142,7 +142,7 @@ class Record:
 class LaterRecord(Record):
     """Record of a cycle that is being prepared: its folder is created when the cycle begins.
 
-    Until then what becomes of it is only remembered; there are neither studies nor pictures yet.
+    Until then its state is kept in memory; there are neither studies nor pictures yet.
     """
 
     def __init__(self, runs: Path, cycle: int) -> None:
@@ -158,10 +158,10 @@ class LaterRecord(Record):
         return record
 
     def use_reserve(self) -> None:
-        """There is none."""
+        """Do nothing: there is no reserve."""
 
     def _write(self, name: str, content: str | bytes) -> None:
-        """Nothing has a place yet."""
+        """Do nothing: there is no folder yet."""
 
 
 @lru_cache(maxsize=8)
@@ -171,9 +171,9 @@ def _yaml_of(settings: str) -> str:
 
 
 def acknowledge_record(folder: Path, by: str, note: str) -> None:
-    """Mark that a person has looked at how a cycle ended.
+    """Mark that a person has acknowledged the end of a cycle.
 
-    A state that cannot be read is kept beside it, as `state.json.unreadable`.
+    A state that cannot be read is renamed to `state.json.unreadable`.
     raises  RecordError
     """
     path = folder / "state.json"
@@ -211,7 +211,7 @@ class Recorded:
 
 
 def cycle_of(folder: Path) -> int | None:
-    """Number of the cycle that left a folder, as its name says; None = it is no cycle's."""
+    """Number of the cycle of a folder, from its name; None = it is no cycle's folder."""
     name = _NAME.fullmatch(folder.name)
     return int(name[2]) if name is not None and folder.is_dir() else None
 
@@ -219,7 +219,7 @@ def cycle_of(folder: Path) -> int | None:
 def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
     """When the cycle of a folder began, with a time zone.
 
-    Folders of older versions say it in their name only: in local time, as it is here and now.
+    Folders of older versions have it in their name only, in local time.
     raises  ValueError: the folder's name is no cycle's
     """
     with suppress(KeyError, TypeError, ValueError):
@@ -228,7 +228,7 @@ def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures that a cycle left, by name; cycles of older versions left them as PNG."""
+    """Pictures of a cycle, by name; older versions wrote PNG."""
     files = (p for p in folder.iterdir() if p.suffix in (".jpg", ".png"))
     return sorted(p for p in files if p.is_file() and not p.is_symlink())
 
@@ -286,13 +286,13 @@ def _json(data: Mapping[str, Any]) -> str:
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-#: Said of a cycle that has no outcome.
+#: Outcome of a cycle without a result.
 UNFINISHED = "running or killed"
 
 
 @dataclass(frozen=True)
 class PastCycle:
-    """A cycle that was.
+    """Summary of a past cycle.
 
     started             with a time zone
     outcome             as in its result; "running or killed" without one; "unreadable"
@@ -320,9 +320,9 @@ class PastCycle:
 
 
 def history(runs: Path) -> tuple[PastCycle, ...]:
-    """All cycles that left a folder in `runs`, the newest last.
+    """All cycles with a folder in `runs`, the newest last.
 
-    Folders of another kind are left out; a cycle whose files are broken is said to be unreadable.
+    Folders of another kind are skipped; a cycle with broken files has the outcome "unreadable".
     raises  InputError: `runs` is no folder
     """
     if not runs.is_dir():

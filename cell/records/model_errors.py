@@ -1,4 +1,4 @@
-"""Errors of a line's model: what all cables have in common, and whether it is worse than before."""
+"""Errors of a line's model: the mean error of all cables, and whether it is worse than before."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scipy import special
 from cell.cable.arrays import FloatArray
 from cell.records.result import Result
 
-#: Cycles that are looked at, at least.
+#: Least number of cycles that are evaluated.
 FEWEST = 5
-#: Newest cycles of which a mean is taken, at most.
+#: Largest number of the newest cycles in a mean.
 MOST_MEAN = 50
-#: A mean is told if its interval of this confidence lies beyond what an arm repeats to, m.  It is
-#: looked at after every run.
+#: A mean is reported if its interval of this confidence lies beyond the arm's repeatability, m.  It
+#: is tested after every run.
 CONFIDENCE, REPEATABILITY_M = 0.999, 1e-4
-#: Cycles of either model that are compared, at most: the first since the change, the last before.
+#: Largest number of compared cycles per model: the first since the change, the last before.
 MOST_COMPARED = 20
-#: One-sided, of ranks.  Looked at after every cycle, a model that is as good as the one before is
-#: called worse in one change of 100 (3 of 400 simulated, of each quantity); of errors five times as
-#: large three of four are told after 10 cables.
+#: Level of the one-sided rank test.  Tested after every cycle, a model that is as good as its
+#: predecessor is reported as worse in one change of 100 (3 of 400 simulated, of each quantity);
+#: of errors five times as large three of four are reported after 10 cables.
 SIGNIFICANCE = 0.003
-#: Differences below this share are nobody's concern.
+#: Relative differences below this are negligible.
 WORSE = 1.2
 
 
@@ -33,7 +33,7 @@ WORSE = 1.2
 class MeanError:
     """Mean height of the tip above its forecast in the opening, m, with its interval.
 
-    cycles  so many cables
+    cycles  number of cables
     """
 
     mean_m: float
@@ -81,7 +81,7 @@ def mean_error(results: Sequence[Result]) -> MeanError | None:
 class Worsening:
     """A quantity that is larger since the model was changed.
 
-    what      in words
+    what      description
     before_m, since_m             root mean square, m
     cycles_before, cycles_since   compared
     p_value   of ranks, one-sided
@@ -105,31 +105,31 @@ class Worsening:
 def worsenings(results: Sequence[Result]) -> list[Worsening]:
     """Errors that are larger in the newest model's first cycles than in the former one's last.
 
-    results  of any model, oldest first; nothing is said of a few
+    results  of any model, oldest first; a few give no result
     """
     since, before = _newest_two(results)
-    found = []
-    for what, entry in (
+    worse = []
+    for text, entry in (
         ("forecasts err by more", "miss_error_m"),
         ("the model misses the swing by more", "residual_rms_m"),
     ):
-        compared = _compared(
-            what, _sizes_m(before, entry)[-MOST_COMPARED:], _sizes_m(since, entry)[:MOST_COMPARED]
+        compared = _compare(
+            text, _sizes_m(before, entry)[-MOST_COMPARED:], _sizes_m(since, entry)[:MOST_COMPARED]
         )
         if compared is not None:
-            found.append(compared)
-    return found
+            worse.append(compared)
+    return worse
 
 
 def newest_models(results: Sequence[Result]) -> tuple[str, str] | None:
-    """Hashes of the newest model and of the one used before it; None = there are no two."""
+    """Hashes of the newest model and of its predecessor; None = there is only one."""
     since, before = _newest_two(results)
     pair = next((r.model for r in since), None), next((r.model for r in before), None)
     return None if pair[0] is None or pair[1] is None else (pair[0], pair[1])
 
 
 def _newest_two(results: Sequence[Result]) -> tuple[list[Result], list[Result]]:
-    """Results of the newest model, and of the one before it, each of the last time it was used."""
+    """Results of the newest model, and of its predecessor, each of its last period of use."""
     known = (r for r in results if r.model is not None)
     runs = [list(run) for _, run in groupby(known, key=lambda r: r.model)]
     if len(runs) < 2:
@@ -141,7 +141,7 @@ def _sizes_m(results: Sequence[Result], entry: str) -> FloatArray:
     return np.array([abs(v) for r in results if (v := getattr(r, entry)) is not None])
 
 
-def _compared(what: str, before: FloatArray, since: FloatArray) -> Worsening | None:
+def _compare(text: str, before: FloatArray, since: FloatArray) -> Worsening | None:
     if min(len(before), len(since)) < FEWEST:
         return None
     before_m, since_m = (float(np.sqrt(np.mean(v**2))) for v in (before, since))
@@ -152,4 +152,4 @@ def _compared(what: str, before: FloatArray, since: FloatArray) -> Worsening | N
     p_value = float(mannwhitneyu(since, before, alternative="greater").pvalue)
     if p_value > SIGNIFICANCE:
         return None
-    return Worsening(what, before_m, since_m, len(before), len(since), p_value)
+    return Worsening(text, before_m, since_m, len(before), len(since), p_value)

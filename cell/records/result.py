@@ -1,4 +1,4 @@
-"""How a cycle ended, as data and as JSON."""
+"""Result of a cycle, as data and as JSON."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cell.files.plain import plain
 class Outcome(StrEnum):
     """Inserted and missed were executed; a rejected cable was put aside; failed = a fault.
 
-    Measured: a measuring cycle, in which nothing is inserted, has come to its end.  Rehearsed and
-    unfit end a dry run: everything is as it must be, or something is not.
+    Measured: a measuring cycle, in which nothing is inserted, was completed.  Rehearsed and unfit
+    end a dry run: all checks are met, or some are not.
     """
 
     INSERTED = "inserted"
@@ -29,10 +29,10 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: in which step, of which device if any, why, and what a person can do.
+    """A fault: its step, its device if any, cause and remedy.
 
-    cable  where it is now, as the gripper says after the arm has stopped
-    code   the reason in a word or two, the same for all causes of a kind: `arm.limit`, `stop`
+    cable  where it is, as the gripper reports after the arm has stopped
+    code   reason code, the same for all causes of a kind: `arm.limit`, `stop`
     """
 
     step: str
@@ -47,9 +47,9 @@ class Fault:
 class AgreementCheck:
     """One check of a dry run or a cycle: measured value and limits.
 
-    found      in SI units, `unit`
-    low, high  what it must be within; None = no such limit
-    remedy     what to do if it is not
+    found      measured value in SI units, `unit`
+    low, high  limits; None = no such limit
+    remedy     what to do otherwise
     """
 
     what: str
@@ -61,7 +61,7 @@ class AgreementCheck:
 
     @property
     def right(self) -> bool:
-        """Whether it is as it must be."""
+        """Whether the value is within its limits."""
         low = -math.inf if self.low is None else self.low
         high = math.inf if self.high is None else self.high
         return low <= self.found <= high
@@ -71,10 +71,10 @@ class AgreementCheck:
 class Correction:
     """A change of the gripper's path in flight.
 
-    from_s       when it began, from when the gripper was told to move
-    rise_m       by how much the gripper was led up
-    then_m       by how much after that
-    lasts_s      in how much time, either
+    from_s       its beginning, since the gripper's command to move
+    rise_m       first rise of the gripper
+    then_m       second rise
+    lasts_s      duration of either
     before, probability   predicted probability of passing, without and with it
     """
 
@@ -91,35 +91,34 @@ class Result:
     """End of one cycle.  None = not known, because the cycle did not come so far.
 
     offset_m            executed
-    delay_s, pace       with which: so long the gripper rested before, s; in so many times the usual
-                        time it moved
-    further_m           and so much further left than usual it went
+    delay_s, pace       of the executed motion: rest before it, s; its duration over the usual one
+    further_m           of the executed motion: distance beyond the usual one to the left
     predicted_miss_m    height of the tip above the middle of the opening at entry; as last
                         predicted if the path was changed in flight
     measured_miss_m     the same, from the pictures of the execution
-    margin_m            measured: smallest distance to the destination's floor or ceiling while
-                        the tip passed it; negative = missed by so much
+    margin_m            measured: smallest distance to the destination's floor or ceiling while the
+                        tip passed it; negative = missed by this distance
     predicted_margin_m  the same, predicted
     predicted_std_m     standard deviation of the predicted margin
     probability         predicted probability of passing
     prediction_error_m  largest distance between predicted and measured tip in the destination
-    residual_rms_m, noise_m   what the identified model misses of the frames, and their noise
+    residual_rms_m, noise_m   rms residual of the identified model in the frames, and their noise
     model               hash of the section `model` of the settings
-    wait_s              how long the robot stood waiting for the computer
-    hold_saved_s        how much shorter than its longest the hold was, because more frames would
-                        not have mattered
+    wait_s              time that the robot waited for the computer
+    hold_saved_s        time by which the hold was shorter than its maximum, because more frames
+                        would not have changed the decision
     corrections         of the path in flight; None = without feedback
-    stops               why the gripper was stopped in front of the opening in earlier tries with
-                        this cable; the rest is of the last try
+    stops               why the gripper was stopped before the opening in earlier attempts with
+                        this cable; other entries are of the last attempt
     seconds             time of each step, s
     state_seconds       time spent in each state of the cell, s
     parameters          of this cable, as identified: name → value, SI units
-    reason              why the cable was rejected or missed, in words
-    model_misses        whether it was rejected because the model misses its tip while it swings
+    reason              why the cable was rejected or missed, as text
+    model_misses        whether it was rejected for the model's error of the swinging tip
     speed               of a dry run, as a share of the full one
-    checks              what a dry run found out
+    checks              checks of a dry run
     part                id of the cable; None = it has none
-    product             what the cell made; None = its settings have no products
+    product             of the cable; None = the settings have no products
     """
 
     cycle: int

@@ -1,4 +1,4 @@
-"""What a cell knows of its camera and delays: from calibration files, or typed in the settings."""
+"""Map of the camera and delays of a cell: from calibration files, or typed in the settings."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from cell.files.input_error import InputError, Problem
 from cell.settings.devices import UrArmSettings
 from cell.settings.model import Calibration, Settings
 
-#: 95 % of a circle's normal law lie within so many standard deviations over both axes together.
+#: Radius of the 95 % region of a circular normal law, in standard deviations over both axes.
 CIRCLE_95 = 1.73
-#: A clock is set back by less from time to time, h.
+#: Clocks are set back by less than this, h.
 _SET_BACK_H = 0.1
 
 
@@ -31,10 +31,10 @@ class Calibrated:
 
     view       pixel → plane
     latency_s  of the camera's stamps; lag_s of the arm
-    map_std_m  standard deviation of a point's place by the map, over both axes; 0 = not known
+    map_std_m  standard deviation of the map, over both axes; 0 = not known
     delays_95_s  half widths of the 95 % intervals of latency and lag; None = as typed
     remedy     the command that mends them
-    notes      what a person should know
+    notes      messages for a person
     grip       (4,) gripping point x and y in the frame of the jaw's discs, m; clamp angle against
                them, rad; free length, m; None = as typed
     """
@@ -51,11 +51,11 @@ class Calibrated:
 
 def board_of(settings: Settings) -> Board:
     """The board that the settings describe.  Raises ValueError: it is impossible."""
-    given = settings.calibration
-    if given is None:
+    board = settings.calibration
+    if board is None:
         return Board()
     return Board(
-        given.columns, given.rows, given.square_m, dictionary=given.dictionary, legacy=given.legacy
+        board.columns, board.rows, board.square_m, dictionary=board.dictionary, legacy=board.legacy
     )
 
 
@@ -86,9 +86,9 @@ def calibrate_command(settings: Settings, kind: str, config: Path) -> str:
 
 
 def calibrated(settings: Settings, config: Path, now: datetime | None = None) -> Calibrated:
-    """Load and check the calibration that the settings name, or take what was typed.
+    """Load and check the calibration that the settings name, or use the typed values.
 
-    config  the settings' file, named in complaints
+    config  the settings' file, for messages
     raises  InputError: a calibration is missing, too old, too poor, or one of other devices; each
             with the command that mends it
     """
@@ -97,7 +97,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     now = datetime.now(UTC) if now is None else now
     wanted, folder = settings.calibration, settings.calibration.folder
     problems: list[Problem] = []
-    found: dict[str, StoredCalibration] = {}
+    stored: dict[str, StoredCalibration] = {}
     if not any((folder / f"{kind}.yaml").exists() for kind in _NEEDED):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
         raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
@@ -105,8 +105,8 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     for kind in (*_NEEDED, *besides):
         path = calibration_file(settings, kind)
         try:
-            found[kind] = load(path, kind)
-            complaint = complaint_of(found[kind], wanted, settings, now)
+            stored[kind] = load(path, kind)
+            complaint = complaint_of(stored[kind], wanted, settings, now)
         except CalibrationFileError as error:
             command = calibrate_command(settings, kind, config)
             message = str(error).replace(f"cell calibrate {kind}`", f"{command}`")
@@ -117,7 +117,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
             problems.append(Problem(path, 1, None, kind, f"{complaint}; {remedy}"))
     if problems:
         raise InputError(problems)
-    cell, time, grip = found["cell"], found["time"], found.get("grip")
+    cell, time, grip = stored["cell"], stored["time"], stored.get("grip")
     bound_m = float(cell.error["map_95_m"])
     try:
         return Calibrated(
@@ -142,7 +142,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
 def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:
     """Why a cell with these settings must be calibrated before it moves; empty = it need not.
 
-    raises  InputError: a file of the calibration is there, and is not one
+    raises  InputError: a file of the calibration exists, and is no calibration
     """
     try:
         calibrated(settings, config)
@@ -249,6 +249,6 @@ _HOLDS_FOR = {
     "time": ("camera", "arm", "lookahead_s"),
     "grip": ("camera", "width_px", "height_px", "arm"),
 }
-#: Without these nothing moves; those besides are used if they are there.
+#: Required calibrations; others are used if they exist.
 _NEEDED, _BESIDES = ("camera", "cell", "time"), ("grip",)
 _HELD = ("angle_rad", "length_m")

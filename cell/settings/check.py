@@ -1,4 +1,4 @@
-"""Finds in settings what no single entry shows: entries that contradict each other."""
+"""Checks the settings for entries that contradict each other."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def oddities(settings: Settings) -> tuple[str, ...]:
 
 
 def freedoms(settings: Settings, map_std_m: float | None) -> str:
-    """Sentence: what may be chosen for a cable, and the narrowest opening that noise allows.
+    """Sentence on the options of a decision, and the narrowest opening that noise allows.
 
     map_std_m  standard deviation of the camera's map, over both axes; None = it is not measured
     """
@@ -59,10 +59,10 @@ def freedoms(settings: Settings, map_std_m: float | None) -> str:
 
 def contradictions(document: Document, settings: Settings) -> list[Problem]:
     """Problems of entries that contradict each other."""
-    found = [c for check in _CHECKS for c in check(settings)]
-    # Where the gripper cannot go, what the tip can reach is an idle question.
-    found = found or [c for check in _CHECKS_OF_PLACES for c in check(settings)]
-    return document.problems(found)
+    complaints = [c for check in _CHECKS for c in check(settings)]
+    # The reach of the tip is checked only if the gripper's poses are valid.
+    complaints = complaints or [c for check in _CHECKS_OF_PLACES for c in check(settings)]
+    return document.problems(complaints)
 
 
 def _cable(settings: Settings) -> Iterator[Complaint]:
@@ -169,17 +169,17 @@ def _is_unreal(settings: Settings) -> bool:
 
 
 def _emulated(settings: Settings) -> Iterator[Complaint]:
-    """Whether emulators can be where the devices are, and nothing real is there."""
+    """Devices must have emulators, and their addresses must not be those of real ones."""
     if settings.emulated is None:
         return
     arm, camera, gripper = settings.arm, settings.camera, settings.gripper
-    for section, found, kind in (
+    for section, configured, kind in (
         ("arm", arm.kind, "ur"),
         ("camera", camera.kind, "opencv"),
         ("gripper", gripper.kind, "serial"),
     ):
-        if found != kind:
-            message = f"{found!r} has no emulator; use {kind!r}, or leave out `emulated`"
+        if configured != kind:
+            message = f"{configured!r} has no emulator; use {kind!r}, or leave out `emulated`"
             yield (section, "kind"), message
     if isinstance(arm, UrArmSettings) and not arm.host.startswith("127."):
         message = f"{arm.host} is no loopback address, there may be a real arm; "
@@ -225,7 +225,7 @@ def _model(settings: Settings) -> Iterator[Complaint]:
 
 
 def _destination_in_reach(settings: Settings) -> Iterator[Complaint]:
-    """Whether a cable stretched from some place of the gripper's last stroke gets there at all."""
+    """The destination must be within reach of a cable that is stretched in the last stroke."""
     motion, destination = settings.motion, settings.destination
     length_m = settings.cable.free_length_m
     end_x_m = motion.home.x_m - motion.advance_m
@@ -255,7 +255,7 @@ def _destination_in_reach(settings: Settings) -> Iterator[Complaint]:
 
 
 def _in_view(settings: Settings) -> Iterator[Complaint]:
-    """The camera must see where the tip is to pass, otherwise nothing can be verified."""
+    """The path of the tip must be in the camera's view, otherwise nothing can be verified."""
     camera = settings.camera
     if camera.view is None:
         return  # seen when the calibration is read
@@ -280,14 +280,14 @@ def _wide_enough(settings: Settings) -> Iterator[Complaint]:
     """The cable must fit into the destination, and the camera must see that it did."""
     view = settings.camera.view
     pixel_m = 0.0 if view is None else view.metres_per_pixel
-    for name, least_m, what in (
+    for name, least_m, limit in (
         ("x_m", pixel_m, "a pixel of the camera"),
         ("y_m", max(pixel_m, settings.cable.thickness_m), "the cable's thickness and a pixel"),
     ):
         low, high = getattr(settings.destination, name)
         if high - low < least_m:
             message = (
-                f"[{low}, {high}] is {high - low:.2g} m wide, less than {what} "
+                f"[{low}, {high}] is {high - low:.2g} m wide, less than {limit} "
                 f"({least_m:g} m); widen it"
             )
             yield ("destination", name), message
@@ -298,7 +298,7 @@ MAX_FRAMES = 5_000
 
 
 def _film(settings: Settings) -> Iterator[Complaint]:
-    """What of times and frame rate lets no cable be identified, or too slowly."""
+    """Times and frame rate with which cables cannot be identified, or too slowly."""
     camera, motion = settings.camera, settings.motion
     rate_hz = camera.frame_rate_hz
     at_rest = int(motion.still_s * rate_hz + 1e-9)

@@ -1,4 +1,4 @@
-"""Finds what is wrong with the section `model` of the settings."""
+"""Checks the section `model` of the settings."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def model_problems(settings: Settings) -> Iterator[Complaint]:
     known: set[str] = set()
     wrong = False
     for i, entry in enumerate(model.effects):
-        found = [*_effect_problems(model, i, entry, known)]
-        wrong = wrong or bool(found)
-        yield from found
+        complaints = [*_effect_problems(model, i, entry, known)]
+        wrong = wrong or bool(complaints)
+        yield from complaints
     if settings.identification.method == "paper" and (model.effects or model.prior):
         message = "'paper' knows neither effects nor priors; use 'map', or leave out `model`"
         yield ("identification", "method"), message
@@ -54,7 +54,7 @@ def _effect_problems(
     entry: ModelEffect,
     known: set[str],
 ) -> Iterator[Complaint]:
-    """Of one entry; the name of an effect that exists joins `known`."""
+    """Mistakes of one entry; adds the name of an existing effect to `known`."""
     place: Key = (*_KEY, i, "effect")
     try:
         if not entry.effect.endswith(".py") and entry.effect not in known_effects():

@@ -1,6 +1,6 @@
 """All entries that settings may have, for a form: explanation, limits, default, present value.
 
-They come from the models' JSON schema, so that there is nothing to keep in step.
+They come from the models' JSON schema, so that nothing is stated twice.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cell.settings.model import Settings
 
 Schema = Mapping[str, Any]
 
-#: Endings of a key: what a person reads behind the number.
+#: Suffix of a key → unit that a person reads.
 _UNITS = {
     "_kg_per_m": "kg/m",
     "_m_per_s": "m/s",
@@ -39,7 +39,7 @@ _USED, _NOT_USED = "used", "not used"
 
 
 class SettingsForm(StrEnum):
-    """How a person enters a value: by choosing, as plain text, or as YAML in one line."""
+    """How a person enters a value: as a choice, as plain text, or as YAML in one line."""
 
     CHOSEN = "chosen"
     TEXT = "text"
@@ -53,8 +53,8 @@ class SettingsEntry:
     key      names from the outermost level on
     given    whether the file has it; if not, `value` is the default
     value    plain data; `UNSET` = there is neither a value nor a default
-    default  `UNSET` = it must be given
-    choices  word → value, where one is chosen
+    default  `UNSET` = required
+    choices  label → value, for a choice
     section  whether it is a section that may be left out as a whole
     """
 
@@ -93,7 +93,7 @@ def entries(data: Mapping[str, Any]) -> tuple[SettingsEntry, ...]:
 def change_for(data: Mapping[str, Any], key: Names, value: Any) -> dict[Names, Any]:
     """Edits of the file that set an entry to `value`.
 
-    A section that the file does not have yet begins with what it would have by default.
+    A section that the file does not have yet is filled with its own defaults.
     """
     for depth in range(1, len(key)):
         section = _at(data, key[:depth])
@@ -101,9 +101,9 @@ def change_for(data: Mapping[str, Any], key: Names, value: Any) -> dict[Names, A
             continue
         known = {e.key: e for e in entries(data)}
         inside = [e for k, e in known.items() if k[:depth] == key[:depth] and len(k) > depth]
-        # what holds by the section's own default, and would not by those of its entries
-        kept = {e.key: e.value for e in inside if e.key != key and e.value != _own_default(e.key)}
-        return {**{k: v for k, v in kept.items() if v is not UNSET}, key: value}
+        # defaults of the section that differ from the defaults of its entries
+        own = {e.key: e.value for e in inside if e.key != key and e.value != _own_default(e.key)}
+        return {**{k: v for k, v in own.items() if v is not UNSET}, key: value}
     return {key: value}
 
 
@@ -113,7 +113,7 @@ def _schema() -> Schema:
 
 
 def _own_default(key: Names) -> Any:
-    """Default of an entry in a section that is empty; `UNSET` = there is none, or no such entry."""
+    """Default of an entry in an empty section; `UNSET` = there is none, or no such entry."""
     node: Schema = _schema()
     for name in key[:-1]:
         node = _section_of(node.get("properties", {}).get(name, {}), {}) or {}
@@ -136,18 +136,18 @@ def _of_section(
         usual = node.get("default", UNSET)
         if isinstance(default, Mapping):
             usual = default.get(name, usual)
-        given = name in data
-        value = data[name] if given else usual
+        present = name in data
+        value = data[name] if present else usual
         inner = _section_of(node, value)
         optional = any(o.get("type") == "null" for o in node.get("anyOf", ()))
         if _section_of(node, {}) is not None and optional:
-            yield _switch((*key, name), node, given, value, usual)
+            yield _switch((*key, name), node, present, value, usual)
             if value is None:
                 continue
         if inner is None:
-            yield _leaf((*key, name), node, given, value, usual)
+            yield _leaf((*key, name), node, present, value, usual)
         else:
-            inside = value if given and isinstance(value, Mapping) else {}
+            inside = value if present and isinstance(value, Mapping) else {}
             tag = node.get("discriminator", {}).get("propertyName")
             if tag is not None:
                 kinds = node["discriminator"]["mapping"]
@@ -157,11 +157,11 @@ def _of_section(
                 )  # fmt: skip
                 rest = {k: v for k, v in inner["properties"].items() if k != tag}
                 inner = {**inner, "properties": rest}
-            yield from _of_section(inner, (*key, name), inside, UNSET if given else usual)
+            yield from _of_section(inner, (*key, name), inside, UNSET if present else usual)
 
 
 def _section_of(node: Schema, value: Any) -> Schema | None:
-    """Schema of the section that an entry is; None = it is none."""
+    """Schema of an entry that is a section; None = it is no section."""
     options = [node, *node.get("anyOf", ())]
     kinds = node.get("discriminator", {}).get("mapping")
     if kinds is not None:
@@ -171,24 +171,24 @@ def _section_of(node: Schema, value: Any) -> Schema | None:
         options = [{"$ref": kinds.get(kind) or next(iter(kinds.values()))}]
     for option in options:
         if "$ref" in option:
-            found = _schema()["$defs"][option["$ref"].rsplit("/", 1)[-1]]
-            if "properties" in found:
-                return found  # type: ignore[no-any-return]
+            definition = _schema()["$defs"][option["$ref"].rsplit("/", 1)[-1]]
+            if "properties" in definition:
+                return definition  # type: ignore[no-any-return]
     return None
 
 
-def _switch(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> SettingsEntry:
+def _switch(key: Names, node: Schema, present: bool, value: Any, usual: Any) -> SettingsEntry:
     section = _section_of(node, {}) or {}
     words = (section.get("description", ""), node.get("description", ""))
     explained = "\n".join(_sentence(w) for w in words if w)
     used = {} if value is None or value is UNSET else value
     choices = {_USED: used, _NOT_USED: None}
     return SettingsEntry(
-        key, explained, "", "", SettingsForm.CHOSEN, choices, given, value, usual, True
+        key, explained, "", "", SettingsForm.CHOSEN, choices, present, value, usual, True
     )
 
 
-def _leaf(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> SettingsEntry:
+def _leaf(key: Names, node: Schema, present: bool, value: Any, usual: Any) -> SettingsEntry:
     options = node.get("anyOf", [node])
     types = [o.get("type") for o in options]
     choices: dict[str, Any] = {}
@@ -206,7 +206,7 @@ def _leaf(key: Names, node: Schema, given: bool, value: Any, usual: Any) -> Sett
     limits = "; ".join(filter(None, (_limits(o) for o in options)))
     unit = next((u for ending, u in _UNITS.items() if key[-1].endswith(ending)), "")
     explained = _sentence(node.get("description", ""))
-    return SettingsEntry(key, explained, limits, unit, form, choices, given, value, usual)
+    return SettingsEntry(key, explained, limits, unit, form, choices, present, value, usual)
 
 
 def _limits(node: Schema) -> str:

@@ -1,4 +1,4 @@
-"""Loads settings from a file, as it stands or as it is for one of its products."""
+"""Loads settings from a file, as written or for one of its products."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cell.settings.plugged import validated
 from cell.settings.product import REPLACED, overlaid
 
 _PRODUCTS = "products"
-#: Where an entry of a product stands in the settings that it makes, if not under the same name.
+#: Place of an entry of a product in the resulting settings, if under a different name.
 _ELSEWHERE: Mapping[str, Key] = {"prior": ("model", "prior"), "force_n": ("gripper", "force_n")}
 
 
@@ -37,12 +37,12 @@ def settings_of(document: Document) -> Settings:
     made = {}
     for name, product in settings.products.items():
         try:
-            whole = _checked_product(document, name)
+            complete = _checked_product(document, name)
         except InputError as error:
             problems += error.problems
             continue
-        if product.model is not None:  # its files as whole paths, too
-            model = whole.model.model_dump(mode="json", exclude_unset=True)
+        if product.model is not None:  # its files as absolute paths, too
+            model = complete.model.model_dump(mode="json", exclude_unset=True)
             product = product.model_copy(update={"model": model})
         made[name] = product
     if problems:
@@ -53,8 +53,8 @@ def settings_of(document: Document) -> Settings:
 def load_product(path: Path, name: str | None) -> Settings:
     """Settings from a YAML file, for a product.
 
-    name    of the product; None = the one that the file names as usual, or a file without products
-    raises  InputError: as `load_settings`; there is no such product; it is not said which one
+    name    of the product; None = the file's default product, or a file without products
+    raises  InputError: as `load_settings`; there is no such product; there is no default
     """
     settings = load_settings(path)
     wanted = name or settings.product
@@ -71,7 +71,7 @@ def load_product(path: Path, name: str | None) -> Settings:
 
 
 def for_product(settings: Settings, name: str) -> Settings:
-    """The settings as they are for a product, with its name and without the other ones.
+    """The settings for a product, with its name and without other products.
 
     raises  ValueError: there is no such product
     """
@@ -90,16 +90,16 @@ def products_of(settings: Settings) -> dict[str, Settings]:
 
 @dataclass(frozen=True)
 class _ProductDocument(Document):
-    """The file as it is for a product.
+    """The file with the entries of a product.
 
-    own  entries of the product: where they are looked for → where they stand
+    own  entries of the product: key in its settings → key in the file
     """
 
     name: str = ""
     own: Mapping[Key, Key] = field(default_factory=dict)
 
     def problem(self, key: Key, message: str) -> Problem:
-        """As of the file; what stands elsewhere than in the product names it."""
+        """A problem as of the file; outside the product's section its message names the product."""
         present = key
         while present not in self.places:
             present = present[:-1]
@@ -137,7 +137,7 @@ def _product_document(document: Document, name: str) -> _ProductDocument:
 
 
 def _of_products(settings: Settings) -> Iterator[Complaint]:
-    """What is wrong with products before they are looked at one by one."""
+    """Mistakes of the products as a group."""
     patterns: dict[str, str] = {}
     for name, product in settings.products.items():
         place: Key = (_PRODUCTS, name)
@@ -146,12 +146,12 @@ def _of_products(settings: Settings) -> Iterator[Complaint]:
                 if entry in getattr(product, section):
                     message = f"belongs to the cell; write it in the section {section!r} of all"
                     yield (*place, section, entry), message
-        said = product.part_ids
-        if said is not None and said in patterns:
-            message = f"is that of {patterns[said]} too; no id would say which one is meant"
+        pattern_text = product.part_ids
+        if pattern_text is not None and pattern_text in patterns:
+            message = f"is that of {patterns[pattern_text]} too; no id would say which one is meant"
             yield (*place, "part_ids"), message
-        if said is not None:
-            patterns[said] = name
+        if pattern_text is not None:
+            patterns[pattern_text] = name
     if settings.products and settings.product not in (None, *settings.products):
         guess = did_you_mean(settings.product or "", list(settings.products))
         message = f"{settings.product!r} is no product{guess}; name one of `products`"
@@ -159,9 +159,9 @@ def _of_products(settings: Settings) -> Iterator[Complaint]:
 
 
 def _with_files(settings: Settings, path: Path) -> Settings:
-    """The settings with files of effects as whole paths: they are named relative to the settings.
+    """The settings with absolute paths of effects' files, which are relative to the settings.
 
-    What is recorded says which file it was, and what was in it.
+    The record of a cycle names the file, and holds its content.
     """
     effects = []
     for entry in settings.model.effects:

@@ -67,7 +67,7 @@ _INTERFACES: Mapping[str, type] = {"arm": Arm, "camera": Camera, "gripper": Grip
 def validated(document: Document) -> Settings:
     """The document as settings, with devices of other packages.
 
-    raises  InputError: a kind that nobody has, a package that does not load, and all that is wrong
+    raises  InputError: an unknown kind, a package that does not load, and every other mistake
     """
     wanted: dict[str, type[PluggedDevice]] = {}
     wrong: dict[str, str] = {}
@@ -91,19 +91,19 @@ def settings_class(data: Mapping[str, Any]) -> type[Settings]:
 
 def driver_class(section: str, kind: str) -> Any:
     """The class that an entry point names.  Raises ValueError: there is none, or no such class."""
-    found = {e.name: e for e in entry_points(group=GROUP)}
-    entry = found.get(f"{section}.{kind}")
+    registered = {e.name: e for e in entry_points(group=GROUP)}
+    entry = registered.get(f"{section}.{kind}")
     if entry is None:
-        others = [n.partition(".")[2] for n in found if n.startswith(f"{section}.")]
+        others = [n.partition(".")[2] for n in registered if n.startswith(f"{section}.")]
         known = [*_kinds(section), *sorted(others)]
         raise ValueError(
             f"{kind!r} is not one of {', '.join(map(repr, known))}{did_you_mean(kind, known)}; "
             f"or install the package that has this {section} (`cell help extend`)"
         )
-    return _loaded(section, entry)
+    return _load(section, entry)
 
 
-def _loaded(section: str, entry: EntryPoint) -> Any:
+def _load(section: str, entry: EntryPoint) -> Any:
     package = entry.dist.name if entry.dist is not None else entry.value
     try:
         driver = entry.load()
@@ -142,13 +142,13 @@ def plugged_in(section: str, settings: Section, clock: Clock, delay_s: float = 0
 
 def _foreign_kinds(data: Any) -> dict[str, str]:
     """Kinds of the sections that are not the project's own."""
-    found = {}
+    kinds = {}
     for section in _BASES:
         part = data.get(section) if isinstance(data, Mapping) else None
         kind = part.get("kind") if isinstance(part, Mapping) else None
         if isinstance(kind, str) and kind not in _kinds(section):
-            found[section] = kind
-    return found
+            kinds[section] = kind
+    return kinds
 
 
 def _kinds(section: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""What the settings say of one product, and which product the id of a part means."""
+"""Section of the settings for one product, and the product of a part's id."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Product(Section):
     Null = its parts are not known by their ids."""
 
 
-#: Sections in which a product replaces single entries, and what of them belongs to the cell.
+#: Sections in which a product replaces single entries, and their entries that belong to the cell.
 REPLACED: Mapping[str, tuple[str, ...]] = {
     "cable": (),
     "destination": (),
@@ -83,80 +83,80 @@ Products = Annotated[dict[str, Product], AfterValidator(named)]
 def product_of_part(patterns: Mapping[str, str | None], part: str) -> str | None:
     """Name of the product whose pattern the id of a part matches; None = no product has a pattern.
 
-    patterns  by the product's name; None = its parts are not known by their ids
+    patterns  by the product's name; None = the ids of its parts are not restricted
     raises    ValueError: no pattern matches, or those of several products do
     """
-    known = {name: said for name, said in patterns.items() if said is not None}
-    found = [name for name, said in known.items() if re.fullmatch(said, part)]
-    if len(found) > 1:
+    known = {name: regex for name, regex in patterns.items() if regex is not None}
+    matches = [name for name, regex in known.items() if re.fullmatch(regex, part)]
+    if len(matches) > 1:
         raise ValueError(
-            f"part {part!r} matches part_ids of {' and '.join(found)}; make the patterns narrower"
+            f"part {part!r} matches part_ids of {' and '.join(matches)}; make the patterns narrower"
         )
-    if known and not found:
-        said = ", ".join(f"{name} '{said}'" for name, said in known.items())
+    if known and not matches:
+        regex = ", ".join(f"{name} '{regex}'" for name, regex in known.items())
         raise ValueError(
-            f"part {part!r} matches part_ids of no product: {said}; name the product, or correct "
+            f"part {part!r} matches part_ids of no product: {regex}; name the product, or correct "
             "the id or a pattern"
         )
-    return found[0] if found else None
+    return matches[0] if matches else None
 
 
 def product_for(
-    patterns: Mapping[str, str | None], asked: str | None, part: str | None, usual: str | None
+    patterns: Mapping[str, str | None], requested: str | None, part: str | None, usual: str | None
 ) -> str | None:
     """Name of the product to make of a part; None = there are no products.
 
-    patterns  as for `product_of_part`
-    asked     by name; None = as the part's id says, else the usual one
-    raises    ValueError: it is not said, or the id means another one than was asked for
+    patterns   as for `product_of_part`
+    requested  name; None = by the part's id, else the default
+    raises     ValueError: it is not determined, or the id contradicts the requested name
     """
     if not patterns:
         return None
-    if asked is not None and asked not in patterns:
-        raise ValueError(f"{asked!r} is no product; those are {', '.join(patterns)}")
-    told = None
+    if requested is not None and requested not in patterns:
+        raise ValueError(f"{requested!r} is no product; those are {', '.join(patterns)}")
+    by_id = None
     try:
-        told = None if part is None else product_of_part(patterns, part)
+        by_id = None if part is None else product_of_part(patterns, part)
     except ValueError:
-        if asked is None:
+        if requested is None:
             raise  # an id that means nothing does not gainsay a name
-    if asked is not None and told not in (None, asked):
-        raise ValueError(f"part {part!r} is of product {told}, not {asked}; look at the cable")
-    found = asked or told or usual
-    if found is None:
+    if requested is not None and by_id not in (None, requested):
+        raise ValueError(f"part {part!r} is of product {by_id}, not {requested}; look at the cable")
+    product = requested or by_id or usual
+    if product is None:
         raise ValueError(
             f"which product? give one of {', '.join(patterns)} by name or by the part's id, or "
             "name the usual one in the settings: `product: …`"
         )
-    return found
+    return product
 
 
-def overlaid(whole: Mapping[str, Any], name: str, product: Mapping[str, Any]) -> dict[str, Any]:
+def overlaid(base: Mapping[str, Any], name: str, product: Mapping[str, Any]) -> dict[str, Any]:
     """Plain settings for a product: those of the file, overridden by the product's entries.
 
-    whole    as in the file, or as `Settings` gives it
+    base     as in the file, or as `Settings` gives it
     product  its section, the same way
     """
-    found = {key: value for key, value in whole.items() if key != "products"}
+    settings = {key: value for key, value in base.items() if key != "products"}
     for section in REPLACED:
         if product.get(section):
-            found[section] = _merged(found.get(section) or {}, product[section])
+            settings[section] = _merge(settings.get(section) or {}, product[section])
     if product.get("model") is not None:
-        found["model"] = product["model"]
-    model = found.get("model") or {}
+        settings["model"] = product["model"]
+    model = settings.get("model") or {}
     if product.get("prior") is not None and (product.get("model") or {}).get("prior") is None:
-        found["model"] = {**model, "prior": product["prior"]}
+        settings["model"] = {**model, "prior": product["prior"]}
     if product.get("force_n") is not None:
-        found["gripper"] = {**found["gripper"], "force_n": product["force_n"]}
-    return {**found, "product": name}
+        settings["gripper"] = {**settings["gripper"], "force_n": product["force_n"]}
+    return {**settings, "product": name}
 
 
-def _merged(below: Any, above: Any) -> Any:
-    """Mappings entry by entry; of anything else, and of `effects`, the one above."""
+def _merge(below: Any, above: Any) -> Any:
+    """Merge of mappings entry by entry; other data, and `effects`, are replaced by `above`."""
     if not isinstance(below, Mapping) or not isinstance(above, Mapping):
         return above
     entries = {
-        key: value if key == "effects" else _merged(below.get(key), value)
+        key: value if key == "effects" else _merge(below.get(key), value)
         for key, value in above.items()
     }
     return {**below, **entries}

@@ -23,20 +23,20 @@ from cell.settings.loading import for_product, load_product, load_settings, sett
 from cell.settings.model import ModelSettings, Settings
 from cell.settings.translate import model_hash
 
-#: How fast a simulated world runs, and how finely, is not a property of its cables.
+#: Speed and resolution of a simulated world are not properties of its cables.
 PACE = ("real_time_factor", "segments")
-#: Calibrations of a line; those that were not made are left out.
+#: Calibrations of a line; missing ones are omitted.
 CALIBRATIONS = ("camera", "cell", "time", "grip")
-#: Differences that are told.
-TOLD = 3
+#: Largest number of differences that are listed.
+LISTED = 3
 _MADE = "made"
 
 
 def line_identity(settings: Settings) -> dict[str, Any]:
     """Identity of a line: data sheet, devices, calibration and simulated world, as plain data.
 
-    A calibration that was made is told by its dates: it is made anew, on the same line.  What is
-    typed instead is told by its numbers.
+    A calibration is identified by its dates: it is repeated on the same line.  Typed values are
+    identified by their numbers.
     """
     plain = settings.model_dump(mode="json", include={"cable", "camera", "arm", "world"})
     world = {name: value for name, value in plain["world"].items() if name not in PACE}
@@ -57,18 +57,18 @@ def _calibration(settings: Settings, plain: Mapping[str, Any]) -> dict[str, Any]
     for kind in CALIBRATIONS:
         try:
             made[kind] = load(calibration_file(settings, kind), kind).made.isoformat()
-        except CalibrationFileError:  # whoever needs it says what is wrong
+        except CalibrationFileError:  # reported where the calibration is needed
             continue
     return {_MADE: made}
 
 
 def differences(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> list[str]:
-    """Differences between two lines in words, the first few; empty if they are the same line."""
+    """Texts of the first differences between two lines; empty if they are the same line."""
     were, are = dict(_leaves(theirs)), dict(_leaves(ours))
     keys = sorted(k for k in {*were, *are} if not k.startswith(f"calibration.{_MADE}"))
     apart = [key for key in keys if were.get(key) != are.get(key)]
-    told = [f"{key} {were.get(key)}, here {are.get(key)}" for key in apart[:TOLD]]
-    return told + ([f"{len(apart) - TOLD} more"] if len(apart) > TOLD else [])
+    texts = [f"{key} {were.get(key)}, here {are.get(key)}" for key in apart[:LISTED]]
+    return texts + ([f"{len(apart) - LISTED} more"] if len(apart) > LISTED else [])
 
 
 def other_lines(lines: Sequence[Mapping[str, Any]], settings: Settings) -> list[str]:
@@ -87,7 +87,7 @@ def distinct(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """All single values by their place."""
+    """All single values by their dotted key."""
     if isinstance(data, Mapping):
         for name, value in data.items():
             yield from _leaves(value, f"{key}.{name}" if key else str(name))
@@ -105,22 +105,22 @@ class CandidateModel:
     """A model that was learned, before the line uses it.
 
     model     the section, as it will be written
-    beside    hash of the model that the line had when it was learned
-    failed    gates that it did not pass: name → what was found
+    baseline  hash of the model that the line had when it was learned
+    failed    gates that it did not pass: name → result
     lines     that it was learned from, as `line_identity` has them; none = not known
-    product   whose model it is; None = that of settings without products
+    product   of the model; None = settings without products
     """
 
     path: Path
     model: ModelSettings
-    beside: str
+    baseline: str
     failed: dict[str, str]
     lines: tuple[dict[str, Any], ...] = ()
     product: str | None = None
 
 
 def read_candidate(path: Path) -> CandidateModel:
-    """Read a candidate's file.  Raises InputError: it is none, or was edited and is invalid."""
+    """Read a candidate's file.  Raises InputError: it is not one, or was edited and is invalid."""
     document = read_yaml(path)
     data = document.data
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -154,14 +154,14 @@ def read_candidate(path: Path) -> CandidateModel:
 
 
 def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool = False) -> Path:
-    """Make the candidate's model that of the settings, or of the product that it was learned for.
+    """Write the candidate's model into the settings, or into the section of its product.
 
-    The settings as they were go to the history first; then the file is replaced whole, so that
-    whenever this is killed, it holds the old settings or the new ones.
+    The former settings are saved in the history first; then the file is replaced atomically, so
+    that after a kill it holds the old settings or the new ones.
     from_another_line  the candidate may have been learned on another line
     returns  the file in the history
-    raises   InputError: gates not passed, learned beside another model, on another line or for no
-             product of these settings; settings that are wrong or are not one key a line
+    raises   InputError: gates not passed, learned with a different model, on another line or for
+             no product of these settings; settings that are wrong or are not one key a line
     """
     config, product = config.resolve(), candidate.product
     before = load_settings(config)
@@ -170,13 +170,13 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
         raise InputError([Problem(candidate.path, 1, None, "product", message)])
     settings = before if product is None else load_product(config, product)
     problems = [
-        Problem(candidate.path, 1, None, f"gate {name!r}", f"not passed ({found}); learn from more")
-        for name, found in candidate.failed.items()
+        Problem(candidate.path, 1, None, f"gate {name!r}", f"not passed ({value}); learn from more")
+        for name, value in candidate.failed.items()
     ]
     now = model_hash(settings.model)
-    if candidate.beside != now:
+    if candidate.baseline != now:
         message = (
-            f"was learned with the model {candidate.beside}, the settings now have {now}: "
+            f"was learned with the model {candidate.baseline}, the settings now have {now}: "
             "learn it again from cycles with this model"
         )
         problems.append(Problem(candidate.path, 1, None, "beside", message))
@@ -195,7 +195,7 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
 
 
 def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[Problem]:
-    """What says that a candidate was learned elsewhere."""
+    """Problems of a candidate that was learned on another line."""
     remedy = "learn from cycles of this line, or promote it with --from-another-line"
     if not candidate.lines:
         message = f"is missing: nothing says on which line it was learned; {remedy}"
@@ -208,13 +208,13 @@ def _of_another_line(candidate: CandidateModel, settings: Settings) -> Iterator[
 
 
 def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | None = None) -> Path:
-    """Give the settings the model that they had before the last promotion; the rest stays.
+    """Restore the model that the settings had before the last promotion; the rest stays.
 
-    product  whose model it is; None = that of settings without products
-    meant    hashes of the model that is to go, and of the one that is to come back; None = any
-    returns  the file in the history that it was taken from, now marked as undone
-    raises   InputError: there is none, another one is meant, or the settings would be wrong;
-             nothing is written
+    product  of the model; None = settings without products
+    meant    expected hashes of the present and of the restored model; None = any
+    returns  the file in the history with the restored model, now marked as undone
+    raises   InputError: there is none, the hashes differ, or the settings would be wrong; nothing
+             is written
     """
     config = config.resolve()
     text = read_exactly(config)
@@ -242,46 +242,46 @@ def _hash(config: Path, text: str, product: str | None) -> str:
 
 
 def _check_expected(config: Path, meant: tuple[str, str], present: str, restored: str) -> None:
-    """Raise InputError unless these are the model that is to go and the one to come back."""
-    told = ""
+    """Raise InputError unless these are the expected present and restored models."""
+    mismatch = ""
     if present != meant[0]:
-        told = f"has the model {present} by now, not {meant[0]}"
+        mismatch = f"has the model {present} by now, not {meant[0]}"
     elif restored != meant[1]:
-        told = f"undoing the last promotion would restore the model {restored}, not {meant[1]}"
-    if told:
+        mismatch = f"undoing the last promotion would restore the model {restored}, not {meant[1]}"
+    if mismatch:
         remedy = f"choose one of those in {history_of(config)}"
-        raise InputError([Problem(config, 1, None, _KEY, f"{told}; {remedy}")])
+        raise InputError([Problem(config, 1, None, _KEY, f"{mismatch}; {remedy}")])
 
 
 def history_of(config: Path) -> Path:
-    """Folder of the settings as they were before each promotion."""
+    """Folder of the settings before each promotion."""
     return config.with_name(f"{config.stem}.models")
 
 
 def section_of(path: Path, text: str, product: str | None = None) -> str:
-    """The lines of the section `model`, of a product if one is given; empty if there is none."""
+    """The lines of the section `model`, of a product if named; empty if there is none."""
     lines = text.splitlines(keepends=True)
-    found = _place(path, text, product)
-    return "".join(lines[found.first : found.end])
+    place = _place(path, text, product)
+    return "".join(lines[place.first : place.end])
 
 
 def spliced(path: Path, text: str, section: str, product: str | None = None) -> str:
     """The text with its section `model` replaced; all other lines are unchanged.
 
-    section  as `section_of` has it, or indented like a section of the outermost level
-    product  whose model it is; None = that of the whole file
+    section  as from `section_of`, or indented like a section of the outermost level
+    product  of the model; None = that of the file
     """
     ends = "\r\n" if "\r\n" in text else "\n"
-    found = _place(path, text, product)
+    place = _place(path, text, product)
     if section and not section.startswith(" "):
-        section = textwrap.indent(section, " " * found.indent)
+        section = textwrap.indent(section, " " * place.indent)
     section = section.replace("\r\n", "\n").replace("\n", ends)
     lines = text.splitlines(keepends=True)
-    before, after = lines[: found.first], lines[found.end :]
-    is_new = found.first == found.end
+    before, after = lines[: place.first], lines[place.end :]
+    is_new = place.first == place.end
     if product is None and is_new and section:
-        whole = text if text.endswith(("\n", "\r")) else text + ends
-        return whole + ends + section
+        complete = text if text.endswith(("\n", "\r")) else text + ends
+        return complete + ends + section
     if not section and not is_new and not after and before and not before[-1].strip():
         before.pop()  # the blank line with which a section is added at the end
     if section and before and not before[-1].endswith(("\n", "\r")):
@@ -291,9 +291,9 @@ def spliced(path: Path, text: str, section: str, product: str | None = None) -> 
 
 @dataclass(frozen=True)
 class _Place:
-    """Lines of a section, or where it would be; the first, the one after its last, and its indent.
+    """Lines of a section, or its future place: first line, line after the last, and indent.
 
-    Comments after it are not of it.
+    Comments after it do not belong to it.
     """
 
     first: int
@@ -303,10 +303,10 @@ class _Place:
 
 def _place(path: Path, text: str, product: str | None) -> _Place:
     root: Any = YAML(typ="safe", pure=True).compose(text.removeprefix("\ufeff"))
-    whole, indent = _one_key_a_line(path, root, ""), 0
+    parent, indent = _one_key_a_line(path, root, ""), 0
     after = len(text.splitlines())
     if product is not None:
-        above = _entry(whole, _PRODUCTS)
+        above = _entry(parent, _PRODUCTS)
         products = None if above is None else _one_key_a_line(path, above[1], _PRODUCTS)
         of = None if products is None else _entry(products, product)
         if of is None:
@@ -316,16 +316,16 @@ def _place(path: Path, text: str, product: str | None) -> _Place:
         if isinstance(value, ScalarNode):  # empty: all is as in the rest of the file
             line = key.start_mark.line + 1
             return _Place(line, line, key.start_mark.column + 2)
-        whole = _one_key_a_line(path, value, f"{_PRODUCTS}.{product}")
-        indent, after = whole.value[0][0].start_mark.column, last_line(value) + 1
-    found = _entry(whole, _KEY)
-    if found is None:
+        parent = _one_key_a_line(path, value, f"{_PRODUCTS}.{product}")
+        indent, after = parent.value[0][0].start_mark.column, last_line(value) + 1
+    entry = _entry(parent, _KEY)
+    if entry is None:
         return _Place(after, after, indent)
-    return _Place(found[0].start_mark.line, last_line(found[1]) + 1, indent)
+    return _Place(entry[0].start_mark.line, last_line(entry[1]) + 1, indent)
 
 
 def _one_key_a_line(path: Path, node: Node, name: str) -> MappingNode:
-    """The node itself.  Raises InputError: lines cannot be exchanged in it."""
+    """The node as a mapping.  Raises InputError: it is not one key a line."""
     if isinstance(node, MappingNode) and not node.flow_style:
         return node
     where = "at its outermost level" if not name else "in this section"
@@ -338,7 +338,7 @@ def _entry(node: MappingNode, name: str) -> tuple[Node, Node] | None:
 
 
 def _check(config: Path, changed: str, before: Settings, product: str | None) -> None:
-    """Whether the changed text says what it said before, but for the model.  Raises InputError."""
+    """Raise InputError if the changed text differs from the former settings beyond the model."""
     after = settings_of(document_of(changed.removeprefix("\ufeff"), config))
     if product is None:
         assert after.model_copy(update={_KEY: before.model}) == before
@@ -349,17 +349,17 @@ def _check(config: Path, changed: str, before: Settings, product: str | None) ->
 
 
 def next_entry(folder: Path, product: str | None = None) -> Path:
-    """Where the next file of a history goes; its folder is made.  Raises OSError."""
+    """Path of the next file of a history; its folder is made.  Raises OSError."""
     folder.mkdir(exist_ok=True)
     numbers = [int(p.name[:4]) for p in folder.glob("[0-9][0-9][0-9][0-9]*.yaml")]
     return folder / f"{max(numbers, default=0) + 1:04d}{_of(product)}.yaml"
 
 
 def _entries(config: Path, product: str | None) -> list[Path]:
-    """Settings as they were before promotions that were not undone, oldest first."""
+    """Files of the settings before promotions that were not undone, oldest first."""
     named = re.compile(rf"\d{{4,}}{re.escape(_of(product))}\.yaml")
-    found = history_of(config).glob("*.yaml")
-    return sorted(p for p in found if named.fullmatch(p.name))
+    files = history_of(config).glob("*.yaml")
+    return sorted(p for p in files if named.fullmatch(p.name))
 
 
 def _of(product: str | None) -> str:
@@ -376,9 +376,9 @@ _LOCK = threading.Lock()
 
 
 class ChangedMeanwhileError(Exception):
-    """The file is not as it was when it was read.  Scenario: an editor has saved it since.
+    """The file has changed since it was read.  Scenario: an editor has saved it.
 
-    text  what is in it now
+    text  its present content
     """
 
     def __init__(self, text: str) -> None:
@@ -387,7 +387,7 @@ class ChangedMeanwhileError(Exception):
 
 
 def versions_folder(config: Path) -> Path:
-    """Folder of the settings as they were before each writing."""
+    """Folder of the settings before each change."""
     return config.with_name(f"{config.stem}.settings")
 
 
@@ -397,11 +397,11 @@ def versions(config: Path) -> tuple[Path, ...]:
 
 
 def replace_settings(config: Path, before: str, after: str) -> Path:
-    """Write settings, whole or not at all; the former file is kept first.
+    """Write settings atomically; the former file is saved first.
 
-    before   text that the file must have still
-    returns  where the former file is kept
-    raises   ChangedMeanwhileError; OSError: it cannot be written; the file is as it was
+    before   expected present text of the file
+    returns  path of the saved former file
+    raises   ChangedMeanwhileError; OSError: it cannot be written; the file is unchanged
     """
     config = config.resolve()
     with _LOCK:

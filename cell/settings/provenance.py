@@ -1,4 +1,4 @@
-"""What settings refer to: files of a calibration, effects of one's own, the line."""
+"""References of the settings: files of a calibration, the user's effects, the line."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from cell.settings.model import Settings
 
 
 def files_of(settings: Settings) -> dict[str, str]:
-    """Text of every file, by its path as the settings name it; what cannot be read is left out.
+    """Text of every file, by its path in the settings; unreadable files are omitted.
 
-    The grips of other products are not among them.
+    Grip calibrations of other products are not included.
     """
     paths = [Path(e.effect) for e in settings.model.effects if e.effect.endswith(".py")]
     if settings.calibration is not None and settings.calibration.folder.is_dir():
         grip = calibration_file(settings, "grip")
-        found = sorted(settings.calibration.folder.glob("*.yaml"))
-        paths += [p for p in found if p == grip or p.name.partition(".")[0] != "grip"]
+        calibrations = sorted(settings.calibration.folder.glob("*.yaml"))
+        paths += [p for p in calibrations if p == grip or p.name.partition(".")[0] != "grip"]
     texts = {}
     for path in paths:
         with suppress(OSError, UnicodeDecodeError):

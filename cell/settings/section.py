@@ -1,4 +1,4 @@
-"""What sections of the settings are made of: their base, and numbers with their ranges."""
+"""Base class of the settings' sections, and types of numbers with their ranges."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def address(host: str) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name is this computer and nothing beyond it."""
+    """Whether an address or name is reachable from this computer only."""
     if host == "localhost":
         return True
     try:
@@ -57,7 +57,7 @@ Place = Annotated[float, Field(ge=-10.0, le=10.0)]
 Distance = Annotated[float, Field(gt=0.0, le=1.0)]
 Duration = Annotated[float, Field(gt=0.0, le=30.0)]
 Wait = Annotated[float, Field(ge=0.0, le=30.0)]
-#: Lengths of a motion that may be none; columns and rows of a picture, also beyond its edge.
+#: Lengths of a motion that may be 0; columns and rows of a picture, also beyond its edge.
 Length = Annotated[float, Field(ge=0.0, le=1.0)]
 Pixels = Annotated[float, Field(ge=-100_000.0, le=100_000.0)]
 Exposure = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -84,13 +84,13 @@ STARTING: Mapping[CellKind, Mapping[str, Any]] = {
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a person about an entry; `key` is its path in the settings."""
+    """A question to a person about an entry; `key` is its path in the settings."""
 
     key: tuple[str, ...]
     words: str
 
 
-#: Asked for every cell; the rest of the file is given defaults and comments.
+#: Questions for every cell; the rest of the file has defaults and comments.
 QUESTIONS = (
     Question(("cable", "free_length_m"), "Length of the cable from the jaw to the tip, m"),
     Question(("cable", "line_density_kg_per_m"), "Its mass per metre, kg/m"),
@@ -102,7 +102,7 @@ QUESTIONS = (
     Question(("limits", "y_m"), "Where the gripper may be: least and greatest y, m"),
 )
 
-#: Asked for a real cell only.
+#: Questions for a real cell only.
 DEVICE_QUESTIONS = (
     Question(("arm", "host"), "Address of the arm's controller"),
     Question(("arm", "model"), "Model of the arm: UR3e, UR5e or UR10e"),
@@ -110,7 +110,7 @@ DEVICE_QUESTIONS = (
     Question(("gripper", "port"), "Serial port of the gripper"),
 )
 
-#: What differs between any two real cells, and the example is of another one.
+#: Entries that differ between any two real cells.
 MEASURED: tuple[Key, ...] = (
     ("cable", "free_length_m"),
     ("cable", "line_density_kg_per_m"),
@@ -141,7 +141,7 @@ def _entry(settings: Settings, key: Key) -> Any:
 
 
 def questions(kind: CellKind) -> tuple[Question, ...]:
-    """What to ask for a cell of this kind."""
+    """Questions for a cell of this kind."""
     return QUESTIONS + (DEVICE_QUESTIONS if kind == "real" else ())
 
 
@@ -190,7 +190,7 @@ def answer_problem(
 
 
 def _keys(value: Any, key: Key = ()) -> Iterator[Key]:
-    """Keys of everything in plain data, of the whole too."""
+    """Keys of all nodes of plain data, including the root."""
     yield key
     if isinstance(value, dict | list):
         for part, inside in value.items() if isinstance(value, dict) else enumerate(value):
@@ -208,7 +208,7 @@ _ABOVE: Any = {"initial_indent": "  # ", "subsequent_indent": "  #   "}
 
 
 def commented(settings: Settings) -> str:
-    """YAML text that loads as these settings, with a comment beside every entry."""
+    """YAML text that loads as these settings, with a comment after every entry."""
     lines = [_HEADING]
     for name, field in type(settings).model_fields.items():
         section = getattr(settings, name)
@@ -218,7 +218,7 @@ def commented(settings: Settings) -> str:
             lines += ["", f"# {_sentence(type(section).__doc__ or '')}", f"{name}:"]
             lines += _entries(section)
         elif section is not None:
-            lines.append(f"{name}: {_plain(section)}  # {_explained(field)}")
+            lines.append(f"{name}: {_plain(section)}  # {_comment(field)}")
     return "\n".join(lines) + "\n"
 
 
@@ -227,17 +227,17 @@ def _entries(section: BaseModel) -> list[str]:
     values = section.model_dump(mode="json")
     fields = sorted(type(section).model_fields.items(), key=lambda item: item[0] != "kind")
     for name, field in fields:
-        entry, comment = f"  {name}: {_plain(values[name])}", _explained(field)
-        beside = f"{entry:<{_COLUMN}}  # {comment}" if comment else entry
-        if len(beside) <= _WIDTH:
-            lines.append(beside)
+        entry, comment = f"  {name}: {_plain(values[name])}", _comment(field)
+        commented_entry = f"{entry:<{_COLUMN}}  # {comment}" if comment else entry
+        if len(commented_entry) <= _WIDTH:
+            lines.append(commented_entry)
         else:
             lines += [*textwrap.wrap(comment, _WIDTH, **_ABOVE), entry]
     return lines
 
 
-def _explained(field: FieldInfo) -> str:
-    """What it is, range and default of an entry."""
+def _comment(field: FieldInfo) -> str:
+    """Description, range and default of an entry."""
     words = [_sentence(field.description or "")] if field.description else []
     bounds = [
         f"{sign} {bound:g}"

@@ -16,23 +16,23 @@ from cell.vision.marks import JawMarks
 
 Range = tuple[float, float]
 
-#: Nothing that is to be seen comes nearer to the picture's edge, px.
+#: Least distance of visible parts from the picture's edge, px.
 EDGE_PX = 10.0
-#: The gripper stays inside its limits by so much, m and rad, because an arm is never quite where
-#: it is sent; ten times what its guard tolerates.
+#: Margin of the gripper to its limits, m and rad, for the arm's tracking error; ten times the
+#: tolerance of its guard.
 LIMIT_MARGIN_M, LIMIT_MARGIN_RAD = 0.001, 0.01
-#: Nothing comes nearer to the workpiece, m.
+#: Least distance from the workpiece, m.
 CLEARANCE_M = 0.005
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Limits of the gripper in the cell's plane, and what the cable must stay in and away from.
+    """Limits of the gripper in the cell's plane, the picture and the workpiece.
 
     home          pose in which a cable is grasped: x, y, m, and clamp angle, rad
     x_m, y_m, angle_rad   of the gripper
-    picture_m     (2, 2) x and y that the camera sees, edge left off; None = not known
-    workpiece_m   x of the workpiece, which is taken to reach everywhere left of it; None = none
+    picture_m     (2, 2) x and y of the camera's view, without its edge; None = not known
+    workpiece_m   x of the workpiece, assumed to fill everything left of it; None = none
     frame_rate_hz of the camera; None = as in the study
     """
 
@@ -49,7 +49,7 @@ class Surroundings:
 
     @staticmethod
     def of(settings: Settings, view: PlaneView) -> Surroundings:
-        """Of a cell, with the map of its camera."""
+        """Surroundings of a cell, with the map of its camera."""
         limits, home, camera = settings.limits, settings.motion.home, settings.camera
         return Surroundings(
             home=(home.x_m, home.y_m, home.angle_rad),
@@ -66,7 +66,7 @@ class Surroundings:
 
     @staticmethod
     def read(config: Path | None, product: str | None = None) -> Surroundings:
-        """Of the cell with these settings, for a product; a cautious box without settings.
+        """Surroundings of the cell with these settings, for a product; without settings a safe box.
 
         raises  InputError
         """
@@ -82,7 +82,7 @@ class Surroundings:
         return inside or angle_rad == self.home[2]
 
     def start_range(self, swept: Swept, way_m: tuple[float, float]) -> tuple[Range, Range] | str:
-        """x and y from which a stroke by `way_m` keeps all limits; or what it cannot keep."""
+        """x and y ranges from which a stroke by `way_m` keeps all limits; or the violated one."""
         ranges = []
         for axis, (limits, way) in enumerate(zip((self.x_m, self.y_m), way_m, strict=True)):
             low = limits[0] + LIMIT_MARGIN_M - min(0.0, way)
@@ -114,7 +114,7 @@ class Surroundings:
 
 
 def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Range]:
-    """x and y ranges of an upright rectangle that lies within the picture without its border, m."""
+    """x and y ranges of an upright rectangle within the picture without its border, m."""
     right, bottom = width_px - 1 - EDGE_PX, height_px - 1 - EDGE_PX
     corners = [[EDGE_PX, EDGE_PX], [right, EDGE_PX], [right, bottom], [EDGE_PX, bottom]]
     x, y = view.to_plane(np.array(corners)).T
@@ -126,9 +126,9 @@ def pictured(view: PlaneView, width_px: int, height_px: int) -> tuple[Range, Ran
 
 @dataclass(frozen=True)
 class Swept:
-    """Region that cable and jaw sweep in a stroke, relative to where the gripper starts, m.
+    """Region that cable and jaw sweep in a stroke, relative to the gripper's start, m.
 
-    low_m, high_m  (2,) corners of all that the camera must see: cable and jaw
+    low_m, high_m  (2,) corners of the region that the camera must see: cable and jaw
     cable_low_m    least x of the cable on the way
     rest_low_m     least x of the cable at rest, at any angle between home's and the stroke's, with
                    the gripper at the leftmost place of the stroke
@@ -143,10 +143,10 @@ class Swept:
     def of(
         cable_m: FloatArray, spread_m: FloatArray, hand_m: FloatArray, angle_rad: float, rest: float
     ) -> Swept:
-        """From paths of points along the cable.
+        """Region swept by points along the cable.
 
         cable_m   (models, times, points, 2) relative to the gripper's start
-        spread_m  the same shape: by which the points may be elsewhere
+        spread_m  same shape: uncertainty of the points
         hand_m    (times, 2) relative to its start
         rest      least x of the cable at rest, relative to the gripper
         """

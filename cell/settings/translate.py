@@ -11,7 +11,7 @@ from cell.cable.effects import Effect
 from cell.cable.geometry import Cable
 from cell.identify.individual import IdentifyOptions
 from cell.identify.model_class import ModelClass, effect_from
-from cell.settings import model as given
+from cell.settings import model as schema
 from cell.settings.devices import FilesCameraSettings
 from cell.settings.model import Settings
 from cell.vision.detect import VisionOptions
@@ -25,13 +25,13 @@ def cable_of(settings: Settings) -> Cable:
     return Cable(**settings.cable.model_dump())
 
 
-def pose_of(pose: given.HandPose) -> Pose:
+def pose_of(pose: schema.HandPose) -> Pose:
     """Pose of the gripping point in the cell's plane."""
     return Pose(pose.x_m, pose.y_m, pose.angle_rad)
 
 
 def pose_from_home(settings: Settings, x_m: float, y_m: float, angle_rad: float) -> Pose:
-    """Pose of which x and y are given from the cell's home; the clamp angle itself."""
+    """Pose with x and y relative to the cell's home, and an absolute clamp angle."""
     home = settings.motion.home
     return Pose(home.x_m + x_m, home.y_m + y_m, angle_rad)
 
@@ -50,7 +50,7 @@ def arm_limits_of(settings: Settings) -> ArmLimits:
 
 
 def picture_size(settings: Settings) -> tuple[int, int]:
-    """Width and height of the camera's pictures, px; for a folder of pictures a usual size."""
+    """Width and height of the camera's pictures, px; for a folder of pictures a default size."""
     camera = settings.camera
     if isinstance(camera, FilesCameraSettings):
         return 1280, 1024
@@ -72,16 +72,16 @@ def vision_of(settings: Settings) -> VisionOptions:
 
 
 def identification_of(settings: Settings) -> IdentifyOptions:
-    """How cables are identified, with the model of the settings.  Raises as `model_class_of`."""
+    """Options of the identification, with the settings' model.  Raises as `model_class_of`."""
     method = settings.identification.method
     return IdentifyOptions(method=method, kind=model_class_of(settings.model))
 
 
-def model_class_of(model: given.ModelSettings) -> ModelClass:
+def model_class_of(model: schema.ModelSettings) -> ModelClass:
     """Model class of the settings: the effects and priors that all cables have in common.
 
-    raises  KeyError, FileNotFoundError, EffectError: an effect that is not there, or is wrong;
-            ValueError: a parameter that it has not
+    raises  KeyError, FileNotFoundError, EffectError: an effect is missing or wrong; ValueError: it
+            has no such parameter
     """
     effects: list[type[Effect]] = []
     exact: list[tuple[str, float]] = []
@@ -118,8 +118,8 @@ def model_class_of(model: given.ModelSettings) -> ModelClass:
     )
 
 
-def model_hash(model: given.ModelSettings) -> str:
-    """Short hash of what a model says, wherever its files lie."""
+def model_hash(model: schema.ModelSettings) -> str:
+    """Short hash of a model's content, independent of the place of its files."""
     plain = model.model_dump(mode="json")
     for entry in plain["effects"]:
         if entry["sha256"]:

@@ -14,7 +14,7 @@ EvidenceT = TypeVar("EvidenceT")
 class Failure:
     """The numbers of a check that fails, by their names in its sentence.
 
-    row     of the markers at which it shows; None = in no row of its own
+    row     of the markers where it shows; None = in no particular row
     column  of the file; empty = none
     table   another file of the trial that is wrong
     """
@@ -27,11 +27,11 @@ class Failure:
 
 @dataclass(frozen=True)
 class DataCheck(Generic[EvidenceT]):
-    """A question that is asked of measurements before any model is fitted.
+    """A check of measurements before any model is fitted, with a question as its text.
 
-    statistic  that answers it, with its unit; limit: beyond which the check fails
-    outcome    the study is refused, or a note says so
-    says       sentence with the names of the failure's values; its end joins the remedy
+    statistic  tested statistic, with its unit; limit: the check fails beyond it
+    outcome    the study is refused, or a note is added
+    says       sentence with placeholders for the failure's values; the remedy is its end
     failure    function of the evidence: the numbers if the check fails, else None
     """
 
@@ -45,7 +45,7 @@ class DataCheck(Generic[EvidenceT]):
     failure: Callable[[EvidenceT], Failure | None]
 
     def sentence(self, values: Mapping[str, Any]) -> str:
-        """What is wrong, and the remedy."""
+        """Sentence with the failure and the remedy."""
         return f"{self.says} {self.remedy}".rstrip().format_map(values)
 
 
@@ -62,8 +62,8 @@ def _check(
     return of
 
 
-#: Decorators that make a check of a function.  Its name is the check's, its docstring the question;
-#: the other entries are statistic, limit, sentence and remedy.
+#: Decorators that make a check of a function, by its name and with its docstring as the question;
+#: the arguments are statistic, limit, sentence and remedy.
 refused, noted = partial(_check, "refused"), partial(_check, "noted")
 
 
@@ -72,6 +72,6 @@ def failures(
 ) -> Iterator[tuple[Failure, str]]:
     """Yield the numbers and the sentence of every check that fails, in order."""
     for check in checks:
-        found = check.failure(evidence)
-        if found is not None:
-            yield found, check.sentence(found.values)
+        failure = check.failure(evidence)
+        if failure is not None:
+            yield failure, check.sentence(failure.values)

@@ -18,5 +18,5 @@ _GROUPS: tuple[tuple[DataCheck[Any], ...], ...] = (
     *(IMPORT_REFUSALS, IMPORT_SHAPE, TRIAL_REFUSALS, TRIAL_NOTES, IMPORT_NOTES),
     *(FORCE_NOTES, RECORD_NOTES, STUDY_NOTES),
 )
-#: Each once.
+#: All checks, without duplicates.
 CHECKS = tuple({check.name: check for group in _GROUPS for check in group}.values())

@@ -14,16 +14,16 @@ from cell.study.facts import trial_facts
 from cell.study.rest_shape import WEAK_M_PER_S2
 from cell.study.series import first_lasting, forward_filled
 
-#: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the rigidity 0.4 ρ a L³ that
-#: a fit supposes first of a cable pulled by a.
+#: ω² = 12.362 EI/(ρ L⁴) of a uniform clamped strip (β₁L = 1.8751), and the initial rigidity of a
+#: fit, 0.4 ρ a L³, for a cable under an acceleration a.
 _FIRST_MODE, _SUPPOSED = 12.362, 0.4
 
 
 def swing_hz(study: Study) -> float | None:
     """Median over trials of the tip's strongest frequency; None if no trial shows one."""
     spectra = [trial_facts(t, study.arc_length_m).spectrum for t in study.trials]
-    seen = [s.peaks_hz[0] for s in spectra if s is not None and s.peaks_hz]
-    return float(np.median(seen)) if seen else None
+    strongest_hz = [s.peaks_hz[0] for s in spectra if s is not None and s.peaks_hz]
+    return float(np.median(strongest_hz)) if strongest_hz else None
 
 
 def with_pull(study: Study) -> Study:
@@ -42,31 +42,30 @@ def pull_m_per_s2(study: Study) -> float | None:
     """
     if float(np.hypot(*study.gravity_m_per_s2)) >= WEAK_M_PER_S2:
         return None
-    seen_hz = swing_hz(study)
-    if seen_hz is None:
+    observed_hz = swing_hz(study)
+    if observed_hz is None:
         raise ValueError(
             "gravity in the plane is weak, and no trial shows a swing after the gripper has "
             "stopped: nothing tells the rigidity; record three swings after the motion"
         )
-    return (2.0 * np.pi * seen_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
+    return (2.0 * np.pi * observed_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
 
 
-#: A gripper's log may skip so many of its usual steps, and so many seconds, while the gripper
-#: moves.
+#: Longest permitted gap of a gripper's log while it moves, in usual steps and in seconds.
 GAP_STEPS, GAP_S = 5.0, 0.1
-#: Rows of a log whose median is no single wrong row; rows of the shortest piece that shows a speed,
-#: and s.  Its noise may be this many standard deviations and be no motion.
+#: Rows of a running median, against single wrong rows; rows of the shortest piece for a speed, and
+#: s; noise up to this many standard deviations is no motion.
 _MEDIAN_OF, _PIECE, _PIECE_S, _CHANCE = 5, 3, 0.01, 4.0
-#: A gripper may slow down so many times more sharply than the means over pieces show.
+#: Largest deceleration of a gripper over that of the means over pieces.
 _SHARPER = 1.5
 #: A cable begins to move with its gripper, or within this many √(L/g) of it, and s: in 506
 #: simulated strokes of all kinds from −0.2 to 0.6.  A camera's latency is less, and can be fitted.
 WITHIN, WITHIN_S = 1.0, 0.15
-#: It has begun when it is this share of its free length away, and this many times the noise.
+#: Distance at which a motion has begun: share of the free length, and multiple of the noise.
 AWAY, OF_NOISE = 0.02, 8.0
-#: Shares of that distance at which gripper and cable must be apart in time, each.
+#: Shares of that distance at each of which gripper and cable must differ in time.
 SHARES = 1.0, 0.4, 0.1
-#: Frames in which it must be at rest before, and away from there on.
+#: Frames in which it must be at rest before, and away afterwards.
 _REST, _STAYS = 6, 3
 
 
@@ -93,7 +92,7 @@ class Gap:
 class CutOff:
     """An end of a gripper's log at which the gripper moves, while the frames of its cable go on.
 
-    log_s, film_s  where the log and the frames end, or begin
+    log_s, film_s  end, or beginning, of the log and of the frames
     speed          m/s, or rad/s if it `turns`
     """
 
@@ -118,7 +117,7 @@ class Offset:
 
     @property
     def late_s(self) -> float:
-        """By how much the pictures' clock is ahead of the gripper's; negative: behind."""
+        """Lead of the pictures' clock over the gripper's, s; negative: it lags."""
         return self.cable_s - self.hand_s
 
 
@@ -143,15 +142,15 @@ def gap(poses: FloatArray) -> Gap | None:
 
 
 def cut_off(poses: FloatArray, from_s: float, to_s: float) -> CutOff | None:
-    """The end of a gripper's log at which it is not done with moving; None if there is none.
+    """The end of a gripper's log at which it still moves; None if there is none.
 
     poses         (T, 4) t, x, y, angle
-    from_s, to_s  the first and the last frame that shows a marker
+    from_s, to_s  times of the first and the last frame that shows a marker
     """
     usual_s = float(np.median(np.diff(poses[:, 0])))
     limit_s = max(GAP_S, GAP_STEPS * usual_s)
     for at_end, film_s in ((True, to_s), (False, from_s)):
-        # Seen backwards in time a log begins as another one ends.
+        # The beginning of a log is tested as the end of the time-reversed log.
         log = poses if at_end else poses[::-1] * [-1.0, 1.0, 1.0, 1.0]
         missing_s = (film_s if at_end else -film_s) - float(log[-1, 0])
         if missing_s <= limit_s:
@@ -169,11 +168,11 @@ def cut_off(poses: FloatArray, from_s: float, to_s: float) -> CutOff | None:
 def _unfinished(
     t_s: FloatArray, series: FloatArray, still: float, within_s: tuple[float, float]
 ) -> float | None:
-    """Speed of the end of a series (T, d) that would go on by more than `still`; else None.
+    """Speed at the end of a series (T, d) that would move on by more than `still`; else None.
 
-    From the middle of its last piece on it may slow down as sharply as it ever changed its speed.
+    From the middle of its last piece on, its deceleration is bounded by its largest acceleration.
 
-    within_s  in which it has moved by more than that, and in which it would go on
+    within_s  duration in which it has moved by more than that, and in which it would move on
     """
     step_s, (before_s, after_s) = float(np.median(np.diff(t_s))), within_s
     first = int(np.searchsorted(t_s, t_s[-1] - before_s))
@@ -192,22 +191,22 @@ def _unfinished(
     lasts_s = (rows - 1) * step_s
     changes = np.linalg.norm(speeds[rows - 1 :] - speeds[: 1 - rows], axis=1) / lasts_s
     slows = _SHARPER * float(np.max(changes, initial=0.0))
-    seen = float(np.linalg.norm(speeds[-1]))
-    speed = seen - 0.5 * slows * lasts_s
+    end_speed = float(np.linalg.norm(speeds[-1]))
+    speed = end_speed - 0.5 * slows * lasts_s
     if speed <= _CHANCE * _std_per_s(noise, rows, step_s):
         return None
     goes_on = min(speed * after_s, 0.5 * speed**2 / slows if slows > 0.0 else np.inf)
-    return seen if goes_on > still else None
+    return end_speed if goes_on > still else None
 
 
 def _without_single(series: FloatArray) -> FloatArray:
-    """Rows (T, d) by medians of three: a single wrong row is none."""
+    """Running median of three of rows (T, d), which removes single wrong rows."""
     inner = np.median(np.lib.stride_tricks.sliding_window_view(series, 3, axis=0), axis=-1)
     return np.concatenate([series[:1], inner, series[-1:]])
 
 
 def _velocities(t_s: FloatArray, series: FloatArray, rows: int) -> FloatArray:
-    """(T − rows + 1, d) slopes of the lines through so many rows one after another."""
+    """(T − rows + 1, d) slopes of the lines through `rows` successive rows."""
     times_s = np.lib.stride_tricks.sliding_window_view(t_s, rows)
     away_s = times_s - times_s.mean(axis=1, keepdims=True)
     values = np.lib.stride_tricks.sliding_window_view(series, rows, axis=0)
@@ -223,22 +222,22 @@ def _rough(series: FloatArray) -> float:
 
 
 def _std_per_s(noise: float, rows: int, step_s: float) -> float:
-    """Standard deviation of the slope of a line through so many rows."""
+    """Standard deviation of the slope of a line through `rows` rows."""
     return float(noise / (step_s * np.sqrt(rows * (rows**2 - 1) / 12.0)))
 
 
 def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None:
     """Start times of cable and gripper if they differ by much, for a cable at rest; else None."""
-    any_seen = np.isfinite(trial.markers.xy_m).any(axis=(1, 2))
-    t_s = trial.markers.t_s[any_seen]
-    series_m = trial.markers.xy_m[any_seen].reshape(len(t_s), -1)
+    detected = np.isfinite(trial.markers.xy_m).any(axis=(1, 2))
+    t_s = trial.markers.t_s[detected]
+    series_m = trial.markers.xy_m[detected].reshape(len(t_s), -1)
     halves = np.isfinite(series_m[: _REST // 2]), np.isfinite(series_m[_REST // 2 : _REST])
     series_m = series_m[:, halves[0].any(axis=0) & halves[1].any(axis=0)]
     if trial.start != "equilibrium" or len(t_s) < 2 * _REST or not series_m.size:
         return None
-    beside_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
-    away_m = max(AWAY * cable.length_m, OF_NOISE * _noise_m(beside_m[:_REST]))
-    halves_m = np.split(beside_m[:_REST], 2)
+    moved_by_m = series_m - np.nanmedian(series_m[:_REST], axis=0)
+    away_m = max(AWAY * cable.length_m, OF_NOISE * _noise_m(moved_by_m[:_REST]))
+    halves_m = np.split(moved_by_m[:_REST], 2)
     moved_m = np.nanmedian(halves_m[1], axis=0) - np.nanmedian(halves_m[0], axis=0)
     if np.nan_to_num(np.abs(moved_m)).max() > away_m:
         return None  # the film begins in a swing
@@ -246,16 +245,16 @@ def offset(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> Offset | None
     if pace_s is None:
         return None
     within_s = max(WITHIN_S, WITHIN * pace_s) + 2.0 * float(np.median(np.diff(t_s)))
-    seen = np.asarray(np.isfinite(series_m).any(axis=1))
-    # cameras that take turns see no marker in every row
-    reach_m = np.nan_to_num(np.abs(forward_filled(beside_m, np.isfinite(beside_m)))).max(axis=1)
-    least_m = OF_NOISE * _noise_m(beside_m[:_REST])
+    shown = np.asarray(np.isfinite(series_m).any(axis=1))
+    # with alternating cameras no marker is visible in every row
+    reach_m = np.nan_to_num(np.abs(forward_filled(moved_by_m, np.isfinite(moved_by_m)))).max(axis=1)
+    least_m = OF_NOISE * _noise_m(moved_by_m[:_REST])
     # an oscillation that grows passes one distance, of the gripper or the cable, half a period late
-    found = [
-        _beyond_search(trial, cable, t_s, (reach_m, seen), within_s, max(share * away_m, least_m))
+    offsets = [
+        _beyond_search(trial, cable, t_s, (reach_m, shown), within_s, max(share * away_m, least_m))
         for share in SHARES
     ]
-    return None if None in found else found[0]
+    return None if None in offsets else offsets[0]
 
 
 def _beyond_search(
@@ -266,18 +265,18 @@ def _beyond_search(
     within_s: float,
     away_m: float,
 ) -> Offset | None:
-    """That gripper and cable are first so far from their places at times that are not within reach.
+    """Start times of gripper and cable at a distance `away_m`, if too far apart; else None.
 
-    shown  (frames,) how far the cable is from its place, m, and whether a marker is seen
+    shown  (frames,) distance of the cable from its place, m, and whether a marker is visible
     """
-    reach_m, seen = shown
+    reach_m, visible = shown
     cable_s = _begins(t_s, reach_m > away_m)
     hand_s = _gripper_start_s(trial, away_m, -np.inf)
     if cable_s is None or hand_s is None or cable_s <= t_s[_REST - 1]:
         return None
     if hand_s < t_s[0] and cable_s - t_s[0] < within_s:
         return None  # the film begins in the swing after a stroke: a turning point is no rest
-    rests_s = float(t_s[seen & (t_s < cable_s)][-1])
+    rests_s = float(t_s[visible & (t_s < cable_s)][-1])
     # The record may begin at a rest between two strokes.
     next_s = _gripper_start_s(trial, away_m, float(t_s[0]))
     strokes = [hand_s, *([next_s] if next_s is not None and next_s > t_s[_REST - 1] else [])]
@@ -289,9 +288,9 @@ def _beyond_search(
 
 
 def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None:
-    """1/ω of the slowest swing: of a thread with a bead, or as seen where gravity is weak.
+    """1/ω of the slowest swing: of a thread with a bead, or as observed where gravity is weak.
 
-    None where that is not seen either.
+    None where no swing is observed either.
     """
     if gravity_m_per_s2 >= WEAK_M_PER_S2:
         return float(np.sqrt(cable.length_m / gravity_m_per_s2))
@@ -303,14 +302,14 @@ def _pace_s(trial: Trial, cable: Cable, gravity_m_per_s2: float) -> float | None
 
 
 def _noise_m(series_m: FloatArray) -> float:
-    """Noise of frames (T, coordinates), nan = not seen, whatever steady motion is in them."""
-    seen = [values[np.isfinite(values)] for values in series_m.T]
-    bends_m = np.concatenate([np.zeros(0), *(np.abs(np.diff(v, 2)) for v in seen)]) / np.sqrt(6.0)
+    """Noise of frames (T, coordinates), nan = not detected, independent of steady motion."""
+    valid = [values[np.isfinite(values)] for values in series_m.T]
+    bends_m = np.concatenate([np.zeros(0), *(np.abs(np.diff(v, 2)) for v in valid)]) / np.sqrt(6.0)
     return 1.4826 * float(np.median(bends_m)) if bends_m.size else 0.0
 
 
 def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
-    """When something leaves its place to stay away; None if it never does."""
+    """Time from which `away` lasts; None if it never does."""
     row = first_lasting(away, _STAYS)
     return None if row is None else float(t_s[row])
 
@@ -318,11 +317,11 @@ def _begins(t_s: FloatArray, away: NDArray[np.bool_]) -> float | None:
 def _gripper_start_s(
     trial: Trial, away_m: float, after_s: float, lever_m: float = 0.0
 ) -> float | None:
-    """When the gripper has left the place where it was at a time, as far as its cable's is
+    """When the gripper has left its place of a time, in the coordinates in which its cable is
     measured.
 
-    Of a cable seen from one side alone a stroke to or from there shows late, or not at all.
-    lever_m  by which a turn of the gripper moves the cable
+    If one coordinate is observed, a stroke along the other one shows late, or not at all.
+    lever_m  lever arm of a turn of the gripper
     """
     grip, measured = trial.grip, np.isfinite(trial.markers.xy_m).any(axis=(0, 1))
     later = grip.t_s >= after_s
@@ -334,8 +333,8 @@ def _gripper_start_s(
     return _begins(grip.t_s[later], np.linalg.norm(moved_m, axis=0) + turned_m > away_m)
 
 
-#: A cable at rest does not move by this share of its free length while its gripper is still, and no
-#: noise that a study may have does so in medians of so many frames.
+#: Displacement that a cable at rest does not reach while its gripper is still, share of the free
+#: length, and frames of a median that keeps permitted noise below it.
 FIRST_MOTION = 0.05
 MEDIAN_OF = 5
 FEWEST_STILL = 10
@@ -357,7 +356,7 @@ class FirstMotion:
 
     @property
     def from_first(self) -> bool:
-        """Whether it moves from the first frame on: it is not let go later."""
+        """Whether it moves from the first frame on, so that it is not released later."""
         return self.row < FEWEST_STILL
 
 
@@ -368,7 +367,7 @@ def first_motion(trial: Trial, cable: Cable) -> FirstMotion | None:
         return None
     markers = trial.markers
     away_m = (markers.xy_m - trial.gripper_m(markers.t_s)[:, None])[still]
-    # Medians of five: a glitch of two frames is none of the cable's.  What is lost sorts last.
+    # Medians of five remove glitches of two frames.  Lost values sort last.
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(away_m, MEDIAN_OF, axis=0), axis=-1)
     smooth_m = windows[..., MEDIAN_OF // 2]
     from_first_m = np.nan_to_num(np.linalg.norm(smooth_m - smooth_m[:1], axis=2))

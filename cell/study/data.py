@@ -1,4 +1,4 @@
-"""A study in memory: one cable, its trials, markers seen and grip poses logged."""
+"""A study in memory: one cable, its trials, detected markers and logged grip poses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Source:
 
     lines    (T,) counted from 1
     numbers  (markers,) of the columns' names
-    names    (markers,) that the file gives to markers; empty = none, columns are numbered
+    names    (markers,) of the markers in the file; empty = none, columns are numbered
     """
 
     file: Path
@@ -43,7 +43,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Markers:
-    """Points seen on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not seen.
+    """Points on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not detected.
 
     source  None = not read from a file
     """
@@ -53,16 +53,16 @@ class Markers:
     source: Source | None = field(default=None, repr=False, compare=False)
 
     def line(self, row: int) -> int:
-        """In which line of its file a row stands, or would as written."""
+        """Line of a row in its file, or in the file as it would be written."""
         return row + 2 if self.source is None else int(self.source.lines[row])
 
 
 @dataclass(frozen=True)
 class Wrench:
-    """What a force/torque sensor at the clamp showed: `t_s` (T,), `values` (T, 3).
+    """Record of a force/torque sensor at the clamp: `t_s` (T,), `values` (T, 3).
 
-    values  force x, y, N, and moment about the gripping point, N·m, that hold cable and tool; less
-            or more by a constant, its tare, that nobody knows; nan where not measured
+    values  force x, y, N, and moment about the gripping point, N·m, that hold cable and tool, up
+            to an unknown constant tare; nan where not measured
     """
 
     t_s: FloatArray
@@ -71,11 +71,11 @@ class Wrench:
 
 @dataclass(frozen=True)
 class WrenchSensor:
-    """The force/torque sensor of a study: what it carries, its axes, its noise if that is stated.
+    """The force/torque sensor of a study: its load, its axes, its noise if that is stated.
 
-    force_std_n, moment_std_nm  standard deviation in one row; None = as the rest shows it
-    gain_std  standard deviation of its gain beside 1, and of the cable's mass beside the
-              datasheet's: forces grow with either alike
+    force_std_n, moment_std_nm  standard deviation in one row; None = estimated from frames at rest
+    gain_std  standard deviation of its gain about 1, and of the cable's mass about the
+              datasheet's: both scale the forces
     """
 
     gauge: Gauge = Gauge()  # noqa: RUF009
@@ -86,13 +86,13 @@ class WrenchSensor:
 
 @dataclass(frozen=True)
 class Trial:
-    """One motion of the grip and what was seen of the cable meanwhile, on one clock.
+    """One motion of the grip and the markers of the cable meanwhile, on one clock.
 
-    hand_drift  error of the grip's place, where it was integrated; None = its log shows all of it
-    wrench  what a sensor at the clamp showed, if there was one
-    row_means  where that is among the markers, as in the lab: which values are means of its rows
-    drifts     whether it begins `moving`, as nobody has stated, and so slowly that frames before
-               the gripper moves show the noise about a smooth course
+    hand_drift  error of an integrated grip position; None = its log is complete
+    wrench  record of a sensor at the clamp, if there was one
+    row_means  if it is among the markers, as in the lab: which values are means of its rows
+    drifts     whether it begins `moving` without a statement, and so slowly that frames before the
+               gripper moves show the noise about a smooth course
     """
 
     name: str
@@ -108,7 +108,7 @@ class Trial:
 
     @property
     def source(self) -> Source:
-        """Where its markers stand, or would as written."""
+        """Place of its markers in files, or in files as they would be written."""
         frames, markers = self.markers.xy_m.shape[:2]
         file = Path(self.name) / "markers.csv"
         return self.markers.source or Source(file, np.arange(frames) + 2, np.arange(markers))
@@ -120,12 +120,12 @@ class Trial:
 
     @property
     def bent(self) -> bool:
-        """Whether the cable begins beside its equilibrium in a shape that nobody has noted."""
+        """Whether the cable begins away from its equilibrium in an unknown shape."""
         return self.start in ("held", "moving")
 
     @property
     def rests_until_s(self) -> float | None:
-        """Until when the cable is held still by more than its grip; −∞ if it never is at rest."""
+        """Time until which more than its grip holds the cable still; −∞ if it never rests."""
         return -np.inf if self.start == "moving" and not self.drifts else self.release_s
 
 
@@ -134,9 +134,9 @@ class Study:
     """The measurements of one cable.
 
     arc_length_m  (markers,) from the gripping point
-    notes         what whoever reads results should know of the measurements, one sentence each
-    filmed        markers are places along a centre line that the cell filmed, and how far along it
-                  they are is no measurement
+    notes         sentences on the measurements for readers of results
+    filmed        markers are places along a centre line in the cell's pictures; their position
+                  along it is no measurement
     pull_m_per_s2  acceleration as the cable's stiffness, where gravity in the plane is weak;
                   None = gravity is.  See `cell.study.clocks`
     arc_length_std_m  (markers,) standard deviation of arc lengths; None = they are exact
@@ -159,7 +159,7 @@ class Study:
 
     @property
     def scale_m_per_s2(self) -> float:
-        """Acceleration that sets the pace of the cable's swing: gravity, or the pull."""
+        """Acceleration that sets the time scale of the cable's swing: gravity, or the pull."""
         if self.pull_m_per_s2 is not None:
             return self.pull_m_per_s2
         return float(np.hypot(*self.gravity_m_per_s2))
@@ -169,6 +169,6 @@ class Study:
         return tuple(t for t in self.trials if t.role == role)
 
     def with_places(self, change: Callable[[Trial], FloatArray]) -> Study:
-        """The same with the places (times, markers, 2), m, that are given of each trial."""
+        """The study with markers (times, markers, 2), m, from a function of each trial."""
         trials = [replace(t, markers=replace(t.markers, xy_m=change(t))) for t in self.trials]
         return replace(self, trials=tuple(trials))

@@ -15,13 +15,13 @@ from cell.cable.geometry import Cable, Connector
 from cell.files.words import counted
 from cell.files.yaml_document import Complaint, Key
 
-#: Beyond these a number is taken for a mistaken unit.
+#: Limits beyond which a unit is assumed to be wrong.
 MAX_LENGTH_M = 10.0
 MAX_CONNECTOR_M, MAX_CONNECTOR_KG = 1.0, 10.0
 MAX_GRAVITY_M_PER_S2 = 100.0
 MAX_NOISE_FRACTION = 0.2
-#: Farther along the cable is curved: a marker does not move along a straight line (0.02 mm on one
-#: of 0.1 m with a radius as long).
+#: Largest shift of a marker along a straight line: farther along, the cable is curved (0.02 mm on
+#: one of 0.1 m with a radius as long).
 MAX_ARC_STD_FRACTION = 0.02
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -36,7 +36,7 @@ class SectionPart(BaseModel):
 
 
 class ConnectorEntry(SectionPart):
-    """A rigid body at the cable's end; without an inertia it is a rod's."""
+    """A rigid body at the cable's end; its default inertia is that of a rod."""
 
     mass_kg: Positive
     length_m: Positive
@@ -72,7 +72,7 @@ TrialName = Annotated[str, AfterValidator(_trial_name)]
 def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:
     """The datasheet; a round cable becomes a strip of its width and area; None: neither or both.
 
-    cable  entries that are given
+    cable  entries of the file
     """
     across = cable.get("width_m"), cable.get("thickness_m")
     diameter_m = cable.get("diameter_m")
@@ -87,13 +87,13 @@ def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:
     return Cable(length_m, density, width_m, thickness_m, _connector_of(cable.get("connector")))
 
 
-def _connector_of(given: Mapping[str, float] | None) -> Connector | None:
-    """Without an inertia it is a rod's."""
-    if given is None:
+def _connector_of(entry: Mapping[str, float] | None) -> Connector | None:
+    """The connector; its default inertia is that of a rod."""
+    if entry is None:
         return None
-    rod = Connector.rod(given["mass_kg"], given["length_m"])
-    inertia = given.get("inertia_kg_m2", rod.inertia_kg_m2)
-    return Connector(given["mass_kg"], given["length_m"], inertia)
+    rod = Connector.rod(entry["mass_kg"], entry["length_m"])
+    inertia = entry.get("inertia_kg_m2", rod.inertia_kg_m2)
+    return Connector(entry["mass_kg"], entry["length_m"], inertia)
 
 
 def implausible_entries(
@@ -106,9 +106,9 @@ def implausible_entries(
 ) -> Iterator[Complaint]:
     """Complaints about entries that the schema cannot check.
 
-    cable         entries that are given
-    datasheet     of these; None = they are not one cable's
-    arc_length_m  in the order in which they are given; arc_length_std_m likewise, or one for all
+    cable         entries of the file
+    datasheet     of these; None = they are not those of one cable
+    arc_length_m  in the order of the file; arc_length_std_m likewise, or one for all
     """
     yield from _of_cable(cable, datasheet)
     yield from _of_gravity(gravity_m_per_s2)
@@ -130,17 +130,17 @@ def implausible_entries(
 
 
 def _of_arc_length_std(
-    given: Sequence[float], markers: int, length_m: float
+    values: Sequence[float], markers: int, length_m: float
 ) -> Iterator[Complaint]:
-    """As many as markers, or one for all; none that is negative or far beyond its marker."""
+    """One value per marker, or one for all; not negative, and not far beyond its marker."""
     key = ("markers", "arc_length_std_m")
-    if len(given) not in (0, 1, markers):
-        message = f"has {counted(len(given), 'value')} for {counted(markers, 'marker')}; "
+    if len(values) not in (0, 1, markers):
+        message = f"has {counted(len(values), 'value')} for {counted(markers, 'marker')}; "
         yield key, f"{message}give one for each, or one number"
         return
     limit_m = MAX_ARC_STD_FRACTION * length_m
-    for i, std_m in enumerate(given):
-        where: Key = (*key, i) if len(given) > 1 else key
+    for i, std_m in enumerate(values):
+        where: Key = (*key, i) if len(values) > 1 else key
         if std_m < 0.0:
             yield where, f"{std_m:g} m is negative; give 0 where the place is exact"
         elif std_m > limit_m:
@@ -152,7 +152,7 @@ def _of_arc_length_std(
 
 def _of_cable(cable: Mapping[str, Any], datasheet: Cable | None) -> Iterator[Complaint]:
     names = ("free_length_m", "width_m", "thickness_m", "diameter_m")
-    found: list[Complaint] = [
+    too_long: list[Complaint] = [
         (
             ("cable", name),
             f"{cable[name]:g} m is beyond {MAX_LENGTH_M:g} m; give metres, not millimetres",
@@ -160,24 +160,24 @@ def _of_cable(cable: Mapping[str, Any], datasheet: Cable | None) -> Iterator[Com
         for name in names
         if (cable.get(name) or 0.0) > MAX_LENGTH_M
     ]
-    yield from found
+    yield from too_long
     if datasheet is None:
-        given = [n for n in names[1:] if cable.get(n)]
-        message = f"{' and '.join(given) or 'no section'} given; a flat cable has width_m and "
+        section = [n for n in names[1:] if cable.get(n)]
+        message = f"{' and '.join(section) or 'no section'} given; a flat cable has width_m and "
         yield ("cable",), f"{message}thickness_m, a round one diameter_m alone"
     of_connector = [*_of_connector(cable.get("connector"))]
     yield from of_connector
     implausible = datasheet.implausible() if datasheet else None
-    if implausible and not found and not of_connector:
+    if implausible and not too_long and not of_connector:
         yield ("cable", "line_density_kg_per_m"), implausible
 
 
-def _of_connector(given: Mapping[str, float] | None) -> Iterator[Complaint]:
-    """A connector as long as no connector is, or whose mass lies farther out than its ends."""
-    if given is None:
+def _of_connector(entry: Mapping[str, float] | None) -> Iterator[Complaint]:
+    """An implausibly long connector, or one whose inertia exceeds that of masses at its ends."""
+    if entry is None:
         return
-    mass_kg, length_m = given["mass_kg"], given["length_m"]
-    inertia, most = given.get("inertia_kg_m2", 0.0), mass_kg * length_m**2 / 4.0
+    mass_kg, length_m = entry["mass_kg"], entry["length_m"]
+    inertia, most = entry.get("inertia_kg_m2", 0.0), mass_kg * length_m**2 / 4.0
     key = ("cable", "connector")
     if length_m > MAX_CONNECTOR_M:
         message = f"{length_m:g} m is beyond {MAX_CONNECTOR_M:g} m; give metres, not millimetres"
@@ -194,8 +194,8 @@ def _of_connector(given: Mapping[str, float] | None) -> Iterator[Complaint]:
 
 
 def _of_gravity(gravity_m_per_s2: tuple[float, float]) -> Iterator[Complaint]:
-    key, given = ("gravity_m_per_s2",), list(gravity_m_per_s2)
+    key, vector = ("gravity_m_per_s2",), list(gravity_m_per_s2)
     if np.hypot(*gravity_m_per_s2) > MAX_GRAVITY_M_PER_S2:
-        yield key, f"{given} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; give m/s², not mm/s²"
+        yield key, f"{vector} is beyond {MAX_GRAVITY_M_PER_S2:g} m/s²; give m/s², not mm/s²"
     elif gravity_m_per_s2[1] > 0.0:
-        yield key, f"{given} points up, for y is up; give [0.0, -9.81], and all y upwards"
+        yield key, f"{vector} points up, for y is up; give [0.0, -9.81], and all y upwards"

@@ -17,12 +17,12 @@ from cell.study.rest_shape import ClampedEnd, SwingScale, clamped_end, swing_sca
 from cell.study.root_motion import RootMotion, root_motion
 from cell.study.series import noise_m, span_m
 
-#: A frequency is told of at least so many swings and frames after the gripper has stopped.
+#: Least number of swings and frames after the gripper has stopped for a frequency.
 FEWEST_SWINGS, FEWEST_FRAMES = 1.5, 16
 #: Spectra are drawn on a grid this much finer than their resolution.
 _FINER = 8
-#: Frequencies are told whose amplitude is this share of the largest, at most so many, and so many
-#: resolutions apart: nearer ones are side lobes of one.
+#: Reported frequencies: least amplitude, share of the largest; their largest number; least distance
+#: in resolutions: nearer ones are side lobes.
 _SHARE, MOST_FREQUENCIES, _APART = 0.1, 3, 2.0
 EARTH = (0.0, -9.81)
 #: A record of white noise shows a peak with this probability.
@@ -33,7 +33,7 @@ _BY_CHANCE = 1e-3
 class SwingSpectrum:
     """Amplitude of the tip's motion after the gripper has stopped: (n,) Hz, (n,) m.
 
-    resolution_hz  frequencies nearer than this are not told apart
+    resolution_hz  least distance of distinguishable frequencies
     """
 
     frequency_hz: FloatArray
@@ -44,21 +44,21 @@ class SwingSpectrum:
 
 @dataclass(frozen=True, eq=False)
 class TrialFacts:
-    """What a trial shows.  Times in s, lengths in m.
+    """Facts of a trial.  Times in s, lengths in m.
 
     rate_hz       frames a second, by the usual step; irregular: share of steps 20 % off it
-    hand_m        how far apart the gripper's places are, and hand_rad how far it turns
-    moves_s       when the gripper begins to move and when it has stopped; None = it never moves
+    hand_m        span of the gripper's places, and hand_rad of its angle
+    moves_s       times at which the gripper begins to move and has stopped; None = it never moves
     rest_frames   frames before anything moves
     noise_m       of one coordinate in one frame, by frames at rest; nan = too few
-    tip           number of the marker farthest from the gripper that is seen
-    tip_m         how far apart the tip's places are
-    seen          share of values that were seen, of the coordinates that are seen at all
+    tip           number of the detected marker farthest from the gripper
+    tip_m         span of the tip's places
+    seen          share of detected values, of the coordinates that are detected at all
     spectrum      of the tip; None = too short
-    sensors       by which more is told than by a log and markers: see `sensors_of`
-    swings        by what units of time and length are tested; None = no gravity, or no arc length
-    clamped_end   by what place and angle of the clamp are tested; None = no marker is near it
-    root_motion   by what units, frames and rates are tested; None = too little moves or is seen
+    sensors       further sensors besides log and markers: see `sensors_of`
+    swings        to test units of time and length; None = no gravity, or no arc length
+    clamped_end   to test place and angle of the clamp; None = no marker is near it
+    root_motion   to test units, frames and rates; None = too little motion or too few detections
     """
 
     name: str
@@ -84,7 +84,7 @@ class TrialFacts:
     root_motion: RootMotion | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; the spectrum by its frequencies, None for what is not known."""
+        """Plain data; the spectrum by its frequencies, None for unknown values."""
         shown = set(vars(self)) - {"spectrum", "swings", "clamped_end", "root_motion"}
         data = {k: v for k, v in vars(self).items() if k in shown}
         peaks_hz = () if self.spectrum is None else self.spectrum.peaks_hz
@@ -96,7 +96,7 @@ def trial_facts(
 ) -> TrialFacts:
     """The facts of a trial.
 
-    arc_length_m  (markers,) from the gripping point; nan = unknown, then they stand tip first
+    arc_length_m  (markers,) from the gripping point; nan = unknown, then they are ordered tip first
     """
     markers, grip = trial.markers, trial.grip
     t_s, xy_m = markers.t_s, markers.xy_m
@@ -136,18 +136,18 @@ def trial_facts(
 
 
 def sensors_of(trial: Trial) -> tuple[str, ...]:
-    """Sensors that a trial states: of the gripper's position with an own error, of a wrench."""
+    """Sensors of a trial: of the gripper's position with its own error, of a wrench."""
     drift = trial.hand_drift
     hand = () if drift is None else (f"gripper by {drift.sensor}",)
     return hand if trial.wrench is None else (*hand, "wrench")
 
 
 def sensors_in_words(trials: Sequence[Trial]) -> str:
-    """The sensors that trials state, each with the number of trials; empty if there are none."""
-    said = [sensor for trial in trials for sensor in sensors_of(trial)]
+    """Text of the trials' sensors, each with the number of trials; empty if there are none."""
+    names = [sensor for trial in trials for sensor in sensors_of(trial)]
     return ", ".join(
-        f"{sensor} ({said.count(sensor)} of {counted(len(trials), 'trial')})"
-        for sensor in dict.fromkeys(said)
+        f"{sensor} ({names.count(sensor)} of {counted(len(trials), 'trial')})"
+        for sensor in dict.fromkeys(names)
     )
 
 
@@ -163,14 +163,14 @@ def swing_spectrum(
 ) -> SwingSpectrum | None:
     """Spectrum of a point's free swing along its main direction; None if it is too short.
 
-    tip_m    (T, 2), nan = not seen
-    noise_m  of one coordinate; what white noise shows is no peak; nan = unknown
+    tip_m    (T, 2), nan = not detected
+    noise_m  of one coordinate; peaks of white noise do not count; nan = unknown
     """
-    seen = np.isfinite(tip_m).any(axis=0)
-    good = (t_s >= from_s) & np.isfinite(tip_m[:, seen]).all(axis=1)
-    if np.count_nonzero(good) < FEWEST_FRAMES or not seen.any():
+    detected = np.isfinite(tip_m).any(axis=0)
+    good = (t_s >= from_s) & np.isfinite(tip_m[:, detected]).all(axis=1)
+    if np.count_nonzero(good) < FEWEST_FRAMES or not detected.any():
         return None
-    at_s, at_m = t_s[good], tip_m[good][:, seen]
+    at_s, at_m = t_s[good], tip_m[good][:, detected]
     at_m = at_m - at_m.mean(axis=0)
     along = at_m @ np.linalg.svd(at_m, full_matrices=False)[2][0]
     count = len(at_s)
@@ -191,7 +191,7 @@ def swing_spectrum(
 
 
 def _by_chance(window: FloatArray) -> float:
-    """Amplitude that white noise of size 1 reaches at no frequency, but with `_BY_CHANCE`."""
+    """Amplitude that white noise of size 1 exceeds at any frequency with `_BY_CHANCE`."""
     mean_square = 4.0 * np.sum(window**2) / np.sum(window) ** 2
     return float(np.sqrt(mean_square * np.log(len(window) / 2 / _BY_CHANCE)))
 
@@ -205,13 +205,13 @@ def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tu
         return ()
     order = tops[np.argsort(-amplitude[tops])]
     if amplitude[frequency < lowest_hz].max(initial=0.0) > amplitude[order[0]]:
-        return ()  # most of the motion is slower than what the record can show
+        return ()  # most of the motion is slower than the record can resolve
     resolution = _FINER * frequency[1]
-    found: list[float] = []
+    peaks_hz: list[float] = []
     for top in order[amplitude[order] >= _SHARE * amplitude[order[0]]]:
-        if all(abs(frequency[top] - f) > _APART * resolution for f in found):
-            found.append(float(frequency[top]))
-    return tuple(found[:MOST_FREQUENCIES])
+        if all(abs(frequency[top] - f) > _APART * resolution for f in peaks_hz):
+            peaks_hz.append(float(frequency[top]))
+    return tuple(peaks_hz[:MOST_FREQUENCIES])
 
 
 def _moves_s(trial: Trial) -> tuple[float, float] | None:
@@ -234,7 +234,7 @@ def _detected_share(xy_m: FloatArray) -> float:
 
 
 def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:
-    seen = np.isfinite(xy_m).any(axis=(0, 2))
+    detected = np.isfinite(xy_m).any(axis=(0, 2))
     if not np.isfinite(arc_length_m).all():
-        return int(np.argmax(seen))
-    return int(np.argmax(np.where(seen, arc_length_m, -1.0)))
+        return int(np.argmax(detected))
+    return int(np.argmax(np.where(detected, arc_length_m, -1.0)))

@@ -53,22 +53,22 @@ from cell.study.wrench import (
 FORMAT = "cable-study/1"
 GRIP_COLUMNS = ("t_s", "x_m", "y_m", "angle_rad")
 
-#: Angles one after another that differ by a turn, within so much, are one in two counts, rad.
+#: Tolerance of the test whether successive angles differ by a full turn, rad.
 AS_A_TURN_RAD = 0.5
-#: Beyond this a number is taken for a mistaken unit.
+#: Limit beyond which a unit is assumed to be wrong.
 MAX_DISTANCE_M = 100.0
-#: Of a marker; nearer ones are told with their distance from the gripper.
+#: Limit of a marker's coordinates; smaller ones are reported with their distance from the gripper.
 MAX_COORDINATE_M = 1e6
 
-#: Frames of a trial that are taken; a fit's time and memory grow with them.
+#: Largest number of frames that are read of a trial; a fit's time and memory grow with them.
 MAX_FRAMES = 5_000
 MAX_MARKERS = 200
 MAX_TRIALS = 500
 
 
-def _each(given: object) -> object:
-    """One number for all markers is a list of one."""
-    return [given] if isinstance(given, int | float | str) else given
+def _each(value: object) -> object:
+    """A list with one number for all markers."""
+    return [value] if isinstance(value, int | float | str) else value
 
 
 class _Cable(CableSection):
@@ -109,8 +109,8 @@ class _Study(SectionPart):
 def read_study(folder: Path) -> Study:
     """The study in a folder, markers ordered tip first whatever their order in the file.
 
-    Of a trial of more than `MAX_FRAMES` frames every second, third, … is taken.  This, and what is
-    odd and yet possible, is said in the study's notes.
+    A trial of more than `MAX_FRAMES` frames is thinned to every second, third, … frame.  This, and
+    unusual but possible data, are reported in the study's notes.
 
     raises  InputError: a file is missing or wrong; every problem names file, line, value,
             limit and remedy
@@ -127,8 +127,8 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
     raises  InputError: no trial can be read
     """
     document = read_yaml(folder / "study.yaml")
-    given = document.data if isinstance(document.data, dict) else {"markers": None}
-    if "markers" not in given and [*folder.glob(f"*/{WRENCH_FILE}")]:
+    data = document.data if isinstance(document.data, dict) else {"markers": None}
+    if "markers" not in data and [*folder.glob(f"*/{WRENCH_FILE}")]:
         message = (
             "is missing: a wrench alone does not show where the cable is; track one point of the "
             "cable at least, such as its tip, and give its arc_length_m and its markers.csv"
@@ -152,21 +152,21 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
         except InputError as error:
             problems.extend(error.problems)
             continue
-        found, odd = trial_problems(read, cable, arc_length_m[order], header.gravity_m_per_s2)
-        problems += found
+        refusals, odd = trial_problems(read, cable, arc_length_m[order], header.gravity_m_per_s2)
+        problems += refusals
         notes += odd
         where = folder / trial.name / WRENCH_FILE
-        found, odd = force_problems(read, cable, float(arc_length_m.max()), sensor, where)
-        problems += found
+        refusals, odd = force_problems(read, cable, float(arc_length_m.max()), sensor, where)
+        problems += refusals
         notes += odd
-        taken, step = thinned(read)
+        selected, step = thinned(read)
         if step > 1:
             markers = folder / trial.name / "markers.csv"
             notes.append(
                 f"{markers}: one of every {step} of the {len(read.markers.t_s)} frames is taken; "
                 f"a swing needs no more than {MAX_FRAMES}"
             )
-        trials.append(taken)
+        trials.append(selected)
     if not trials:
         raise InputError(problems)
     files = [folder / t.name / WRENCH_FILE for t in header.trials]
@@ -188,9 +188,9 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
 
 
 def study_folder(folder: Path) -> Path:
-    """The folder of a study: it, its `study.yaml`, or the recorded cycle that has it in `study/`.
+    """The folder of a study, from it, its `study.yaml`, or a recorded cycle with `study/`.
 
-    raises  InputError: it is another file, or holds several cycles
+    raises  InputError: it is no such file, or holds several cycles
     """
     if folder.is_file():
         if folder.name == "study.yaml":
@@ -216,10 +216,10 @@ def write_study(study: Study, folder: Path | str, *, recorded: bool = False) -> 
     recorded  these are a cycle's measurements: `study.yaml` also holds the rows and the SHA-256 of
               each table, and a table that was cut or changed is refused when it is read
 
-    All files are written before the first takes its place, `study.yaml` the last: where the disk is
-    full, a reader meets the former study.
+    All files are written before the first is renamed, `study.yaml` last: if the disk is full, a
+    reader gets the former study.
 
-    raises  ValueError: the study is none that `read_study` accepts; nothing has changed
+    raises  ValueError: `read_study` would refuse the study; nothing has changed
             OSError: it cannot be written; nothing has changed
     """
     folder = Path(folder)
@@ -241,15 +241,15 @@ def write_study(study: Study, folder: Path | str, *, recorded: bool = False) -> 
     header = _header(study)
     if recorded:
         header["tables"] = {
-            path.relative_to(folder).as_posix(): _written(text) for path, text in tables.items()
+            path.relative_to(folder).as_posix(): _table_entry(text) for path, text in tables.items()
         }
     write_all({**tables, folder / "study.yaml": yaml_text(header)})
 
 
 def check_study(study: Study) -> None:
-    """Raises ValueError: names, roles, starts, datasheet or shapes are none that a study can have.
+    """Raise ValueError if names, roles, starts, datasheet or shapes are not those of a study.
 
-    It says the same of a study made in Python as `read_study` of a file.
+    The messages are those of `read_study`.
     """
     document = document_of(yaml_text(_header(study)), Path("study.yaml"))
     try:
@@ -258,8 +258,8 @@ def check_study(study: Study) -> None:
         if problems := _implausible(document, header, cable):
             raise InputError(problems)
     except InputError as error:
-        said = "\n".join(f"study {study.name!r}: {p.key}: {p.message}" for p in error.problems)
-        raise ValueError(said) from error
+        message = "\n".join(f"study {study.name!r}: {p.key}: {p.message}" for p in error.problems)
+        raise ValueError(message) from error
     count = len(study.arc_length_m)
     for trial in study.trials:
         needed = (len(trial.markers.t_s), count, 2)
@@ -271,7 +271,7 @@ def check_study(study: Study) -> None:
 
 
 def _header(study: Study) -> dict[str, object]:
-    """What `study.yaml` says of a study."""
+    """Content of `study.yaml`."""
     header: dict[str, object] = {
         "format": FORMAT,
         "name": study.name,
@@ -287,21 +287,21 @@ def _header(study: Study) -> dict[str, object]:
     return header
 
 
-def _written(text: str) -> dict[str, object]:
-    """What `study.yaml` says of a recorded table: rows below its header, and SHA-256."""
+def _table_entry(text: str) -> dict[str, object]:
+    """Entry of a recorded table in `study.yaml`: rows below its header, and SHA-256."""
     rows = max(0, text.count("\n") - 1)
     return {"rows": rows, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
-def _check_as_written(path: Path, said: _WrittenTable | None) -> None:
-    """Raises InputError: a recorded table was cut or changed."""
-    if said is None or not path.exists():
+def _check_as_written(path: Path, meta: _WrittenTable | None) -> None:
+    """Raise InputError if a recorded table was cut or changed."""
+    if meta is None or not path.exists():
         return
-    there = _written(read_text(path, MAX_BYTES))
-    if there["sha256"] == said.sha256:
+    there = _table_entry(read_text(path, MAX_BYTES))
+    if there["sha256"] == meta.sha256:
         return
     rows = there["rows"]
-    differs = f"has {rows} rows, {said.rows} were recorded" if rows != said.rows else "was changed"
+    differs = f"has {rows} rows, {meta.rows} were recorded" if rows != meta.rows else "was changed"
     raise InputError.at(
         path,
         f"{differs}: it is not as the cycle wrote it; copy it whole again, or give the cycle's "
@@ -330,7 +330,7 @@ def _marker_columns(count: int) -> tuple[str, ...]:
 
 
 def _implausible(document: Document, header: _Study, datasheet: Cable | None) -> list[Problem]:
-    """What a schema cannot say: mistaken units and entries that contradict each other."""
+    """Problems beyond the schema: wrong units and entries that contradict each other."""
     complaints = [
         *implausible_entries(
             header.cable.model_dump(exclude_none=True),
@@ -346,14 +346,14 @@ def _implausible(document: Document, header: _Study, datasheet: Cable | None) ->
 
 
 def _contradictions(trials: Sequence[_TrialSection]) -> Iterator[Complaint]:
-    """Trials of one name; a release or a drift of the gripper that is not as its trial says."""
-    seen: dict[str, int] = {}
+    """Trials with the same name; a release or a drift of the gripper that contradicts its trial."""
+    first_index: dict[str, int] = {}
     for i, trial in enumerate(trials):
         key: Key = ("trials", i)
-        if trial.name in seen:
-            message = f"{trial.name!r} is also trial {seen[trial.name] + 1}; rename one"
+        if trial.name in first_index:
+            message = f"{trial.name!r} is also trial {first_index[trial.name] + 1}; rename one"
             yield (*key, "name"), message
-        seen.setdefault(trial.name, i)
+        first_index.setdefault(trial.name, i)
         if trial.start in ("straight", "held") and trial.release_s is None:
             needs = f"is missing; `start: {trial.start}` needs the time of letting go"
             yield (*key, "release_s"), needs
@@ -398,19 +398,18 @@ def _check_continuous(log: Table) -> None:
             f"{angle_rad[row]:.4g} comes after {angle_rad[row - 1]:.4g} of the row before, a whole "
             "turn away; write angles that go on over ±π, within ±2π",
         )
-    found = gap(log.values)
-    if found is not None:
-        raise log.error(log.lines[found.row], "t_s", log_gap.sentence(found.values))
+    log_jump = gap(log.values)
+    if log_jump is not None:
+        raise log.error(log.lines[log_jump.row], "t_s", log_gap.sentence(log_jump.values))
 
 
 def _check_covers(log: Table, markers: Markers) -> None:
-    """Raise InputError if a gripper's log ends or begins in motion, and its cable is seen
-    beyond."""
-    seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
-    found = cut_off(log.values, float(seen_s[0]), float(seen_s[-1]))
-    if found is not None:
-        row, check = (-1, log_ends) if found.at_end else (0, log_begins)
-        raise log.error(log.lines[row], "t_s", check.sentence(found.values))
+    """Raise InputError if a gripper's log ends or begins in motion, within its cable's frames."""
+    detected_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+    end = cut_off(log.values, float(detected_s[0]), float(detected_s[-1]))
+    if end is not None:
+        row, check = (-1, log_ends) if end.at_end else (0, log_begins)
+        raise log.error(log.lines[row], "t_s", check.sentence(end.values))
 
 
 def _read_trial(

@@ -1,8 +1,8 @@
 """Drift of the gripper's position: an error that the gripper log does not show.
 
-White acceleration noise that is integrated twice is smooth, as a motion is.  An encoder at rest
-shows a constant count, wherever within that count the gripper is.  So a study states such errors,
-and fits and verdicts allow for them.
+White acceleration noise that is integrated twice is as smooth as a motion.  An encoder at rest
+shows a constant count, for all positions within that count.  So a study states such errors, and
+fits and verdicts allow for them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
 from cell.study.entries import Finite, SectionPart
 
-#: Pieces of constant acceleration error over a motion, and shapes that are left out of the error's
-#: variance with less than this share.
+#: Pieces of constant acceleration error over a motion, and the share of the error's variance below
+#: which shapes are dropped.
 _PIECES, _LEAST = 32, 1e-4
 #: In this share of a motion an encoder's error at rest is no more.
 _GONE = 0.1
@@ -39,7 +39,7 @@ class HandDriftSection(SectionPart):
     clamp_turns: bool = True
 
     def drift(self) -> HandDrift:
-        """As used."""
+        """The drift of this entry."""
         return HandDrift(**self.model_dump())
 
 
@@ -77,23 +77,23 @@ class HandDrift:
 
     @property
     def sensor(self) -> str:
-        """What tells where the gripper is."""
+        """Sensor of the gripper's position."""
         return "encoder" if self.turn_std_rad > 0.0 else "accelerometer"
 
     def to_plain(self) -> dict[str, Any]:
-        """As in a study's file: what is not so by default."""
+        """Entry of a study's file, without default values."""
         section = HandDriftSection(**asdict(self))
         return section.model_dump(mode="json", exclude_defaults=True)
 
     def shapes_m(self, t_s: FloatArray, grip: Motion) -> FloatArray:
         """(shapes, T, 2) independent errors of one standard deviation, of x or y each, m."""
-        found = []
+        errors = []
         for axis, path_m in enumerate((grip.x_m, grip.y_m)):
             shapes = self._of_axis(t_s, grip.t_s, path_m, self.noise_m_per_s2_per_rt_hz[axis])
             both = np.zeros((len(shapes), len(t_s), 2))
             both[..., axis] = shapes
-            found.append(both)
-        return np.concatenate(found)
+            errors.append(both)
+        return np.concatenate(errors)
 
     def turns_rad(self, t_s: FloatArray) -> FloatArray:
         """(shapes, T) independent errors of the turn of one standard deviation each, rad."""
@@ -104,7 +104,7 @@ class HandDrift:
         return self.turn_std_rad * np.clip(rests, 0.0, 1.0)
 
     def turned_m(self, turn_rad: FloatArray, places_m: FloatArray) -> FloatArray:
-        """(…, 2) by how much places (…, 2) move if they turn about the axle by small angles (…)."""
+        """(…, 2) displacement of places (…, 2) by small turns (…) about the axle."""
         away = places_m - np.array(self.axle_m)
         return np.stack([-away[..., 1] * turn_rad, away[..., 0] * turn_rad], axis=-1)
 
@@ -125,13 +125,13 @@ class HandDrift:
         if self.ends_known:
             errors = errors - _along(errors, errors[:, -1])
         _, sizes, shapes = np.linalg.svd(errors, full_matrices=False)
-        kept = sizes > np.sqrt(_LEAST) * max(sizes[0], 1e-300)
+        retained = sizes > np.sqrt(_LEAST) * max(sizes[0], 1e-300)
         at_s = np.clip(t_s, self.from_s, self.to_s)
-        rows = [np.interp(at_s, grid_s, row) for row in (sizes[:, None] * shapes)[kept]]
+        rows = [np.interp(at_s, grid_s, row) for row in (sizes[:, None] * shapes)[retained]]
         return np.array(rows).reshape(len(rows), len(t_s))
 
     def _noise_m(self, grid_s: FloatArray, density: float) -> FloatArray:
-        """(pieces, grid) what each piece's acceleration error does, velocity 0 at the end, m."""
+        """(pieces, grid) displacement by each piece's acceleration error, final velocity 0, m."""
         step_s = (self.to_s - self.from_s) / _PIECES
         std = density / np.sqrt(2.0 * step_s)  # of a mean over a piece
         begins_s = self.from_s + step_s * np.arange(_PIECES)
@@ -142,6 +142,6 @@ class HandDrift:
 
 
 def _along(errors: FloatArray, known: FloatArray) -> FloatArray:
-    """What independent errors (n, …) share with a sum of them (n,) that is known to be 0."""
+    """Projection of independent errors (n, …) onto a sum of them (n,) that is known to be 0."""
     size = float(known @ known)
     return np.outer(known, known @ errors) / size if size > 0.0 else np.zeros_like(errors)

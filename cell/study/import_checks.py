@@ -1,6 +1,6 @@
-"""Checks of a trial that is imported: its log, its markers, its plane.
+"""Checks of an imported trial: its log, its markers, its plane.
 
-They come before those of every trial, see `trial_checks`.
+They precede those of every trial, see `trial_checks`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from cell.study.table import MAX_TRIAL_S
 from cell.study.tracks import HELD_ROWS, identical, repeated_rows
 from cell.study.trial_checks import TrialEvidence, exchanged
 
-#: A marker is on no moving cable if it stays within this share of what the others move.
+#: Least motion of a marker on a moving cable, share of the motion of the others.
 STAYS = 1e-3
-#: In so many rows a distance along the cable may be too long before it is no single slip.
+#: Rows in which a distance along the cable may be too long, as a single slip.
 MOST_SLIPS = 0.02
-#: Out of the plane a cable may be by so much of its length: noted, and refused.
+#: Limits of the distance out of the plane, share of the length: noted, and refused.
 NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
-#: The marker next to the gripper follows it, by how well their paths agree, and moves by no more
-#: than so many times as far, in so many rows.
+#: The marker next to the gripper: least agreement of its path with the gripper's, largest ratio of
+#: their motions, least number of rows.
 MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
 
 _LOG_LIMIT = f"{GAP_S:g} s or {GAP_STEPS:g} usual steps"
@@ -67,8 +67,8 @@ def log_gap(e: TrialEvidence) -> Failure | None:
 )
 def log_ends(e: TrialEvidence) -> Failure | None:
     """Does the gripper rest where its log ends?"""
-    found = e.log_cut_off
-    return None if found is None or not found.at_end else _of_log(e, found)
+    end = e.log_cut_off
+    return None if end is None or not end.at_end else _of_log(e, end)
 
 
 @refused(
@@ -81,14 +81,14 @@ def log_ends(e: TrialEvidence) -> Failure | None:
 )
 def log_begins(e: TrialEvidence) -> Failure | None:
     """Does the gripper rest where its log begins?"""
-    found = e.log_cut_off
-    return None if found is None or found.at_end else _of_log(e, found)
+    end = e.log_cut_off
+    return None if end is None or end.at_end else _of_log(e, end)
 
 
-def _of_log(e: TrialEvidence, found: CutOff) -> Failure:
+def _of_log(e: TrialEvidence, end: CutOff) -> Failure:
     t_s = e.trial.markers.t_s
-    row = int(np.searchsorted(t_s, found.log_s, side="right" if found.at_end else "left"))
-    return Failure(found.values, min(row, len(t_s) - 1), "hand")
+    row = int(np.searchsorted(t_s, end.log_s, side="right" if end.at_end else "left"))
+    return Failure(end.values, min(row, len(t_s) - 1), "hand")
 
 
 @refused(
@@ -136,10 +136,10 @@ def hand_scale(e: TrialEvidence) -> Failure | None:
     """Do gripper and markers have the same unit?"""
     nearest = int(np.argmin(e.arc_length_m))
     marker = e.trial.markers.xy_m[:, nearest]
-    seen = np.isfinite(marker).all(axis=1)
-    if np.count_nonzero(seen) < FEWEST_ROWS:
+    detected = np.isfinite(marker).all(axis=1)
+    if np.count_nonzero(detected) < FEWEST_ROWS:
         return None
-    hand, marker = e.hand_m[seen], marker[seen]
+    hand, marker = e.hand_m[detected], marker[detected]
     hand, marker = hand - hand.mean(axis=0), marker - marker.mean(axis=0)
     sizes = float(np.linalg.norm(hand)), float(np.linalg.norm(marker))
     if min(sizes) == 0.0 or float(np.sum(hand * marker)) < MOVES_ALIKE * sizes[0] * sizes[1]:
@@ -223,12 +223,12 @@ def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
 )
 def held_rows(e: TrialEvidence) -> Failure | None:
     """Does no tracker repeat the last position of a lost marker?"""
-    found = repeated_rows(e.trial.markers.xy_m)
-    return None if found is None else Failure({"rows": found[1]}, found[0])
+    repeated = repeated_rows(e.trial.markers.xy_m)
+    return None if repeated is None else Failure({"rows": repeated[1]}, repeated[0])
 
 
-#: All that fail are reported.
+#: All failures are reported.
 IMPORT_REFUSALS = (too_long, log_gap, log_ends, log_begins, same_marker, not_on_cable)
-#: The same if none of these fails; only the first that fails is reported.
+#: Evaluated if none of these fails; only the first failure is reported.
 IMPORT_SHAPE = (hand_scale, exchanged, longer_than_cable, out_of_plane)
 IMPORT_NOTES = (wide, held_rows)

@@ -1,7 +1,7 @@
 """Independence of trials: copies of one recording, and repetitions of one motion.
 
-Copies of one recording are no evidence of each other, see `same_recording`.  Repetitions of a
-motion are independent recordings, but tell nothing of motions that were not fitted to.
+Copies of one recording are no independent evidence, see `same_recording`.  Repetitions of a motion
+are independent recordings, but no evidence about held-out motions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Independence:
 
     recordings  names of the trials of each recording: several are copies of one
     motions     the same of each motion
-    held_out    number of motions of which no trial is fitted to
+    held_out    number of motions without a trial in the fit
     """
 
     recordings: tuple[Names, ...] = ()
@@ -38,7 +38,7 @@ class Independence:
 
     @classmethod
     def of(cls, study: Study) -> Independence:
-        """Of a study that has no copies any more, see `without_copies`."""
+        """Of a study without copies, see `without_copies`."""
         copies = {name: names for names in study.copies for name in names}
         motions: list[list[Trial]] = []
         for trial in study.trials:
@@ -75,7 +75,7 @@ class Independence:
 def without_copies(study: Study) -> Study:
     """The study with one trial per recording, and a note that lists the removed copies.
 
-    The one with most values stays; it is fitted to if any of them is.
+    The copy with most values stays; it is in the fit if any of them is.
     """
     recordings = same_recordings([t.markers for t in study.trials])
     if len(set(recordings)) == len(recordings):
@@ -83,22 +83,22 @@ def without_copies(study: Study) -> Study:
     trials, known, notes = [], list(study.copies), []
     for first in dict.fromkeys(recordings):
         copies = [t for t, of in zip(study.trials, recordings, strict=True) if of == first]
-        kept = max(copies, key=lambda t: int(np.isfinite(t.markers.xy_m).sum()))
+        retained = max(copies, key=lambda t: int(np.isfinite(t.markers.xy_m).sum()))
         fitted = any(t.role == "fit" for t in copies)
-        trials.append(replace(kept, role="fit") if fitted else kept)
+        trials.append(replace(retained, role="fit") if fitted else retained)
         if len(copies) > 1:
             names = tuple(t.name for t in copies)
             known.append(names)
-            notes.append(copies_text(names, kept.name))
+            notes.append(copies_text(names, retained.name))
     return replace(study, trials=tuple(trials), copies=tuple(known), notes=(*study.notes, *notes))
 
 
 def without_copies_of(study: Study, others: Sequence[Study]) -> Study:
-    """The study without what is a copy of a trial of other studies, and a note of each.
+    """The study without copies of trials of other studies, and a note of each.
 
-    raises  ValueError: nothing is left that a model could be fitted to
+    raises  ValueError: no trial remains that a model could be fitted to
     """
-    known = [(other.name, t) for other in others for t in other.trials]
+    known = [(s.name, t) for s in others for t in s.trials]
     first = originals([t.markers for t in study.trials], [t.markers for _, t in known])
     trials, notes = [], []
     for trial, number in zip(study.trials, first, strict=True):
@@ -115,21 +115,20 @@ def without_copies_of(study: Study, others: Sequence[Study]) -> Study:
     return replace(study, trials=tuple(trials), notes=(*study.notes, *notes))
 
 
-def copies_text(names: Sequence[str], kept: str) -> str:
+def copies_text(names: Sequence[str], used: str) -> str:
     """Message that trials are copies of one recording, with the remedy."""
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
     return (
-        f"{listed} are one recording: their noise is the same. It is counted once, as {kept}, and "
+        f"{listed} are one recording: their noise is the same. It is counted once, as {used}, and "
         "confirms nothing by itself; record the motion again"
     )
 
 
-#: Two ways of the gripper are one motion if they differ by no more than this share of the longer,
-#: and clamp angles by this, rad.
+#: Tolerance for equal motions of the gripper: share of the longer way, and clamp angle, rad.
 SAME_WAY, SAME_ANGLE_RAD = 0.02, 0.02
 #: A gripper that moves by less than this share of the cable's length stands still.
 STANDS = 0.005
-#: Cables that do not begin in equilibrium begin alike within this share of their length.
+#: Tolerance for equal initial shapes of cables out of equilibrium, share of their length.
 SAME_SHAPE = 0.05
 
 
@@ -152,13 +151,13 @@ def same_motion(first: Trial, second: Trial, length_m: float) -> bool:
 
 
 def _way_m(grip: Motion, t_s: FloatArray, length_m: float) -> FloatArray:
-    """(times, 3) way and turn of a gripper from where it began; it stands before and after."""
+    """(times, 3) way and turn of a gripper from its start; it is at rest before and after."""
     columns = (grip.x_m, grip.y_m, length_m * grip.angle_rad)
     return np.column_stack([np.interp(t_s, grip.t_s, v) - v[0] for v in columns])
 
 
 def _least_distance_m(first: Motion, second: Motion, length_m: float) -> float:
-    """Largest distance of two ways at the shift of clocks at which their speeds are most alike."""
+    """Largest distance of two ways at the shift of clocks with the best agreement of speeds."""
     step_s = max(float(np.median(np.diff(grip.t_s))) for grip in (first, second))
     times = [np.arange(grip.t_s[0], grip.t_s[-1], step_s) for grip in (first, second)]
     speeds = [
@@ -180,7 +179,7 @@ def _least_distance_m(first: Motion, second: Motion, length_m: float) -> float:
 
 
 def _begin_alike(first: Trial, second: Trial, length_m: float) -> bool:
-    """Whether the cables of two trials begin in one shape, as far as both show it."""
+    """Whether the cables of two trials begin in the same shape, as far as it is visible."""
     shapes = []
     for trial in (first, second):
         xy_m = trial.markers.xy_m

@@ -16,15 +16,15 @@ from cell.study.independence import without_copies
 from cell.study.sample_outliers import outlier_distances
 from cell.study.wrench import COLUMNS, FILE, UNITS
 
-#: A marker that is wrong in a larger share of its rows is badly tracked: that is no slip, and no
-#: noise either.  So many rows always may be wrong, as in a short trial.
+#: Largest share of outliers in a marker's rows, beyond which its tracking is bad; and a number of
+#: outliers that is always permitted, as in a short trial.
 MAX_OUTLIER_SHARE, FEW = 0.02, 3
-#: Rows and columns that are told of a trial.
-TOLD = 3
+#: Number of outliers that are listed per trial.
+LISTED = 3
 
 
 def without_outliers(study: Study) -> Study:
-    """The study with outliers of markers set to not seen, and notes of them.
+    """The study with outliers of markers set to nan, and notes of them.
 
     raises  InputError: too many of a marker are wrong
     """
@@ -36,9 +36,9 @@ def without_outliers(study: Study) -> Study:
 
 
 def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
-    """The study with the given outliers set to not seen, and a note per trial that has any.
+    """The study with these outliers set to nan, and a note per trial that has any.
 
-    wrong   per trial (times, channels), m: by how much samples lie apart, nan where one is right
+    wrong   per trial (times, channels), m: distance of each outlier, nan elsewhere
     raises  InputError: too many of a marker are wrong
     """
     trials: list[Trial] = []
@@ -55,16 +55,16 @@ def without_samples(study: Study, wrong: Sequence[FloatArray]) -> Study:
         if problem := _too_many(trial, counted_m, source):
             problems.append(problem)
         notes.append(_note(apart_m, source))
-        kept = np.where(there, np.nan, trial.markers.xy_m)
-        trials.append(replace(trial, markers=replace(trial.markers, xy_m=kept)))
+        cleaned_m = np.where(there, np.nan, trial.markers.xy_m)
+        trials.append(replace(trial, markers=replace(trial.markers, xy_m=cleaned_m)))
     if problems:
         raise InputError(problems)
     return replace(study, trials=tuple(trials), notes=(*study.notes, *notes))
 
 
-def most_outliers(seen: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Largest permitted number of outliers in so many rows seen."""
-    return np.asarray(np.maximum(FEW, np.floor(MAX_OUTLIER_SHARE * seen)), dtype=int)
+def most_outliers(rows: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Largest permitted number of outliers in a number of detected rows."""
+    return np.asarray(np.maximum(FEW, np.floor(MAX_OUTLIER_SHARE * rows)), dtype=int)
 
 
 def limit_text(most: int) -> str:
@@ -84,11 +84,11 @@ def _across_only(trial: Trial, apart_m: FloatArray) -> FloatArray:
 
 
 def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | None:
-    """That more rows of a marker are wrong than may be left out."""
+    """Problem of a marker with more outliers than permitted; else None."""
     rows = np.asarray(np.isfinite(apart_m).any(axis=2))
-    seen = np.isfinite(trial.markers.xy_m).any(axis=2).sum(axis=0)
+    detected = np.isfinite(trial.markers.xy_m).any(axis=2).sum(axis=0)
     count = rows.sum(axis=0)
-    most = most_outliers(seen)
+    most = most_outliers(detected)
     if not np.any(count > most):
         return None
     marker = int(np.argmax(count - most))
@@ -101,28 +101,28 @@ def _too_many(trial: Trial, apart_m: FloatArray, source: Source) -> Problem | No
         None,
         source.column(marker, axis),
         f"{value_m:g} m lies {away_m * 1e3:+.2g} mm apart from the rows before and after it, as "
-        f"do {count[marker]} of this marker's {seen[marker]} rows; {limit_text(most[marker])}: "
+        f"do {count[marker]} of this marker's {detected[marker]} rows; {limit_text(most[marker])}: "
         "mend how the marker is tracked, or empty the cells where it is not",
     )
 
 
 def _note(apart_m: FloatArray, source: Source) -> str:
-    """How many samples of a trial are left out, where the farthest are, and by how much."""
+    """Note on the outliers of a trial: number, places and distances of the largest."""
     away = np.nan_to_num(np.abs(apart_m))
     rows = np.flatnonzero((away > 0.0).any(axis=(1, 2)))
     farthest = rows[np.argsort(-away[rows].max(axis=(1, 2)), kind="stable")]
-    told = [_place(int(row), apart_m[row], source) for row in farthest[:TOLD]]
-    more = f" and {len(rows) - TOLD} more lines" if len(rows) > TOLD else ""
+    places = [_place(int(row), apart_m[row], source) for row in farthest[:LISTED]]
+    more = f" and {len(rows) - LISTED} more lines" if len(rows) > LISTED else ""
     count = int(np.count_nonzero(away))
     values, lies = ("value", "lies") if count == 1 else ("values", "lie")
     return (
         f"{source.file}: {count} {values} {lies} apart from the rows before and after, as no cable "
-        f"does: {', '.join(told)}{more}; left out"
+        f"does: {', '.join(places)}{more}; left out"
     )
 
 
 def _place(row: int, apart_m: FloatArray, source: Source) -> str:
-    """What is wrong in a line."""
+    """Text of the largest outlier in a line."""
     marker, axis = np.unravel_index(int(np.nanargmax(np.abs(apart_m))), apart_m.shape)
     column = source.column(int(marker), int(axis))
     others = int(np.isfinite(apart_m).sum()) - 1
@@ -138,14 +138,14 @@ def notes_of_samples(study: Study) -> list[str]:
     return list(without_copies(without_outliers(study)).notes[len(study.notes) :])
 
 
-#: Columns that one amplifier shows: forces, and the moment.
+#: Groups of columns with a common amplifier: forces, and the moment.
 _TOGETHER = (slice(0, 2), slice(2, 3))
 
 
 def without_wrench_outliers(study: Study, folder: Path) -> Study:
     """The study with outliers of wrenches set to not measured, and notes of them.
 
-    folder  of the study, for what is told
+    folder  of the study, for messages
     raises  InputError: too many of a column are wrong
     """
     trials, notes, problems = [], list(study.notes), []
@@ -158,30 +158,30 @@ def without_wrench_outliers(study: Study, folder: Path) -> Study:
         outliers, file = np.isfinite(apart), folder / trial.name / FILE
         if outliers.any():
             notes.append(_note_of_wrench(file, apart))
-        seen, count = np.isfinite(values).sum(axis=0), outliers.sum(axis=0)
-        most = most_outliers(seen)
+        measured, count = np.isfinite(values).sum(axis=0), outliers.sum(axis=0)
+        most = most_outliers(measured)
         for i in np.flatnonzero(count > most)[:1]:
             message = (
-                f"lies apart from the rows before and after it, as do {count[i]} of {seen[i]} "
+                f"lies apart from the rows before and after it, as do {count[i]} of {measured[i]} "
                 f"rows; {limit_text(most[i])}: mend the sensor's record, or leave the column out"
             )
             line = int(np.argmax(outliers[:, i])) + 2
             problems.append(Problem(file, line, None, COLUMNS[i], message))
-        kept = replace(trial.wrench, values=np.where(outliers, np.nan, values))
-        trials.append(replace(trial, wrench=kept))
+        cleaned = replace(trial.wrench, values=np.where(outliers, np.nan, values))
+        trials.append(replace(trial, wrench=cleaned))
     if problems:
         raise InputError(problems)
     return replace(study, trials=tuple(trials), notes=tuple(notes))
 
 
 def _note_of_wrench(file: Path, apart: FloatArray) -> str:
-    """How many values are left out, where the first are, and by how much."""
+    """Note on the outliers of a wrench: number, places and distances of the first."""
     places = np.argwhere(np.isfinite(apart))
     shown = [
         f"line {row + 2}, {COLUMNS[i]} by {apart[row, i]:+.2g} {UNITS[COLUMNS[i]]}"
-        for row, i in places[:TOLD]
+        for row, i in places[:LISTED]
     ]
-    more = f" and {len(places) - TOLD} more" if len(places) > TOLD else ""
+    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
     return (
         f"{file}: {len(places)} values apart from the rows before and after, as no motion makes "
         f"them: {', '.join(shown)}{more}; left out"

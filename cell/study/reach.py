@@ -1,15 +1,15 @@
-"""How far from the gripping point markers are, and how far effects of the library can show them.
+"""Distance of markers from the gripping point, and its limits by effects of the library.
 
-A cable is no longer than its arc length, so no marker is farther away than that.  Effects show it
-farther, in three ways:
+A cable is no longer than its arc length, so no marker is farther away than that.  Effects increase
+the apparent distance in three ways:
 
     scale    camera_scale and grip_slip enlarge all distances along the cable alike.  This shows
              between neighbouring markers, too, without the gripper.
-    offset   camera_roll and camera_scale move what is away from the picture's centre: all markers
-             near the gripper alike.
+    offset   camera_roll and camera_scale move points away from the picture's centre: all markers
+             near the gripper equally.
     delay    camera_latency and robot_lag: in the meantime the gripper has moved.
 
-Each limit is the bound within which a fit varies that effect.  What is beyond all of them is an
+Each limit is the bound within which a fit varies that effect.  Distances beyond all of them are an
 error of the files.
 """
 
@@ -34,7 +34,7 @@ LARGEST_DELAY_S, _LOOKS = 0.1, 9
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Distances of a trial's markers from the gripping point, and what effects make of them.
+    """Distances of a trial's markers from the gripping point, and their limits with effects.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     length_m      free length of the cable
@@ -46,9 +46,9 @@ class Reach:
 
     @cached_property
     def distance_m(self) -> FloatArray:
-        """(T, markers) from the gripping point, less the gripper's way within a delay.
+        """(T, markers) from the gripping point, minus the gripper's way within a delay.
 
-        A coordinate that was not seen adds nothing: the result is the least that it can be.
+        A missing coordinate counts as 0: the result is a lower bound.
         """
         markers = self.trial.markers
         away_m = np.nan_to_num(markers.xy_m - self.trial.gripper_m(markers.t_s)[:, None])
@@ -68,46 +68,46 @@ class Reach:
 
     @cached_property
     def scale(self) -> float:
-        """Factor by which the cable between neighbouring markers seems longer than stated.
+        """Ratio of observed and stated length between neighbouring markers.
 
-        At least 1, at most that of an effect; the most of an effect where no two are seen at once.
+        At least 1, at most that of an effect; the latter where no two are visible at once.
         """
         most = max(LARGEST_SCALE, 1.0 + LARGEST_SLIP_M / self.length_m)
         order = np.argsort(self.arc_length_m)
         between_m = np.diff(self.arc_length_m[order])
         apart_m = np.linalg.norm(np.diff(self.trial.markers.xy_m[:, order], axis=1), axis=2)
-        seen = np.isfinite(apart_m).any(axis=0) & (between_m > 0.0)
-        if not seen.any():
+        visible = np.isfinite(apart_m).any(axis=0) & (between_m > 0.0)
+        if not visible.any():
             return most
-        ratios = np.nanmedian(apart_m[:, seen], axis=0) / between_m[seen]
+        ratios = np.nanmedian(apart_m[:, visible], axis=0) / between_m[visible]
         return float(np.clip(np.median(ratios), 1.0, most))
 
     @property
     def limit_m(self) -> float:
-        """Distance that no marker can have."""
+        """Upper limit of the distance of any marker."""
         return (self.scale + LARGEST_OFFSET) * self.length_m
 
     @property
     def limits_m(self) -> FloatArray:
-        """(markers,) distance that each cannot have, by its arc length."""
+        """(markers,) upper limits of the distances, by arc length."""
         return self.scale * self.arc_length_m + LARGEST_OFFSET * self.length_m
 
     @cached_property
-    def _whole_m(self) -> FloatArray:
-        """(T, markers) distances where both coordinates were seen, else nan."""
+    def _complete_m(self) -> FloatArray:
+        """(T, markers) distances where both coordinates were detected, else nan."""
         shown = np.isfinite(self.trial.markers.xy_m).all(axis=2)
         return np.where(shown, self.distance_m, np.nan)
 
     @cached_property
     def usual_m(self) -> FloatArray:
-        """(markers,) median distance; nan of a marker that is never seen."""
-        usual_m = np.full(self._whole_m.shape[1], np.nan)
-        seen = np.isfinite(self._whole_m).any(axis=0)
-        usual_m[seen] = np.nanmedian(self._whole_m[:, seen], axis=0)
+        """(markers,) median distance; nan of a marker that is never detected."""
+        usual_m = np.full(self._complete_m.shape[1], np.nan)
+        detected = np.isfinite(self._complete_m).any(axis=0)
+        usual_m[detected] = np.nanmedian(self._complete_m[:, detected], axis=0)
         return usual_m
 
     def beyond(self, limits_m: FloatArray) -> tuple[int, int] | None:
-        """The marker whose median is farthest beyond its limit (markers,), and since which row.
+        """The marker whose median exceeds its limit (markers,) most, and the row of its beginning.
 
         None if there is no such marker.
         """
@@ -115,8 +115,8 @@ class Reach:
         marker = int(np.argmax(excess_m))
         if excess_m[marker] <= 0.0:
             return None
-        each_m = self._whole_m[::-1, marker]
+        each_m = self._complete_m[::-1, marker]
         far = each_m > limits_m[marker]
-        # From the first row on that half of the rows after it agree with: noise may be far once.
+        # The first row with which half of the later rows agree: single noisy rows do not count.
         rows = np.maximum(np.cumsum(np.isfinite(each_m)), 1)
         return marker, int(np.argmax((far & (np.cumsum(far) > 0.5 * rows))[::-1]))

@@ -1,4 +1,4 @@
-"""Checks of a trial's record for what makes its fit weak or wrong; they only warn."""
+"""Checks of a trial's record for causes of a weak or wrong fit; they only warn."""
 
 from __future__ import annotations
 
@@ -13,54 +13,54 @@ from cell.study.facts import FEWEST_FRAMES, FEWEST_SWINGS, TrialFacts
 
 #: Trials that are named in a sentence.
 NAMED = 3
-#: Of 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
-#: that the droop tells, and all were faster than a hanging chain.
+#: In 384 trials of real and simulated cables the slowest swing had 0.44 to 1.67 times the frequency
+#: expected from the droop, and all were faster than a hanging chain.
 OF_DROOP, OF_CHAIN = 2.5, 0.8
-#: Of 331 trials of whatever effects none begins at rest by this share of its length from its
+#: Of 331 trials with any effects none begins at rest by this share of its length from its
 #: gripping point, has a marker so far from a smooth curve, or leaves by this angle from the stated.
 ROOT_AWAY, OFF_CURVE, ROOT_TURNED_RAD = 0.03, 0.015, np.radians(20.0)
 #: In 363 trials of simulated cables with all effects, the root's motion differs from the gripper's
 #: by less than this share of it, except where camera_scale or camera_roll acts.  The directions in
 #: which a cable leaves the clamp differ by up to 7° between its trials.
 ROOT_MOTION_ERROR, ROOTS_APART_RAD = 0.015, np.radians(10.0)
-#: Frames at rest with which the level of a noise is known to a fifth, at two coordinates.
+#: Frames at rest from which a noise level is estimated to a fifth, with two coordinates.
 REST_FRAMES = 12
 #: Frames of a swing below which its shape is lost between them.
 FRAMES_PER_SWING = 8.0
-#: Swings after the gripper has stopped with which damping is told.
+#: Swings after the gripper has stopped that are needed to estimate damping.
 DAMPING_SWINGS = 3.0
-#: Less than this share of the values seen, and more than this share of steps uneven, is noted.
+#: Limits that are noted: share of detected values, and share of uneven steps.
 LEAST_SEEN, MOST_UNEVEN = 0.9, 0.05
 #: The first frequency of one cable differs less between trials: a nonlinear swing of twice the size
 #: changes it by some percent.
 FREQUENCY = 0.15
-#: Stated noise over that from frame to frame at rest: less cannot be, for that is a part of it;
-#: more may be, as of a camera that filters or a lens that is not straightened, but not by so much.
+#: Range of stated noise over that from frame to frame at rest, which is a part of it: filters of a
+#: camera or a distorted lens explain larger ratios, up to the upper limit.
 STATED_NOISE = (1.0 / 3.0, 20.0)
 #: No cable is inserted by more than half a turn of its gripper.
 MOST_TURN_RAD = np.pi
-#: Trials of which a median tells the usual one.
+#: Number of trials from which a median is reliable.
 MEDIAN_OF = 3
-#: A tip that moves by less than so many times the noise shows nothing.
+#: Least motion of the tip, in noise standard deviations.
 SPAN_OF_NOISE = 20.0
 
 
 @dataclass(frozen=True)
 class TrialRecord:
-    """Facts of a trial, and the noise that its study states; None = it states none."""
+    """Facts of a trial, and the stated noise of its study; None = not stated."""
 
     facts: TrialFacts
     noise_std_m: float | None
 
     @property
     def after_s(self) -> float:
-        """How long the record goes on after the gripper has stopped."""
+        """Duration of the record after the gripper has stopped, s."""
         f = self.facts
         return f.to_s - (f.from_s if f.moves_s is None else f.moves_s[1])
 
     @property
     def peaks_hz(self) -> tuple[float, ...]:
-        """Frequencies of the swing after that, the strongest first; none = it shows none."""
+        """Frequencies of the swing after that, the strongest first; empty = none."""
         spectrum = self.facts.spectrum
         return () if spectrum is None or self.after_s <= 0.0 else spectrum.peaks_hz
 
@@ -107,8 +107,8 @@ def rest_frames(record: TrialRecord) -> Failure | None:
 )
 def lost_values(record: TrialRecord) -> Failure | None:
     """Were most marker positions measured?"""
-    seen = record.facts.seen
-    return Failure({"seen": seen}) if seen < LEAST_SEEN else None
+    share = record.facts.seen
+    return Failure({"seen": share}) if share < LEAST_SEEN else None
 
 
 @noted(
@@ -304,7 +304,7 @@ def few_swings(record: TrialRecord) -> Failure | None:
     return Failure({"after_s": record.after_s, "swings": swings, "hz": record.peaks_hz[0]})
 
 
-#: Facts of all trials, and the noise that their study states.
+#: Facts of all trials, and the stated noise of their study.
 StudyRecord = tuple[Sequence[TrialFacts], float | None]
 
 
@@ -317,15 +317,15 @@ StudyRecord = tuple[Sequence[TrialFacts], float | None]
 def stated_noise(record: StudyRecord) -> Failure | None:
     """Is the stated noise that of the frames at rest?"""
     trials, noise_std_m = record
-    seen_m = [f.noise_m for f in trials if np.isfinite(f.noise_m) and f.noise_m > 0.0]
-    if noise_std_m is None or not seen_m:
+    noises_m = [f.noise_m for f in trials if np.isfinite(f.noise_m) and f.noise_m > 0.0]
+    if noise_std_m is None or not noises_m:
         return None
-    at_rest_m = float(np.median(seen_m))
+    at_rest_m = float(np.median(noises_m))
     if STATED_NOISE[0] * at_rest_m <= noise_std_m <= STATED_NOISE[1] * at_rest_m:
         return None
-    what = "hides what the model lacks" if noise_std_m > at_rest_m else "no model can be as right"
+    text = "hides what the model lacks" if noise_std_m > at_rest_m else "no model can be as right"
     values = {"stated_mm": noise_std_m * 1e3, "shown_mm": at_rest_m * 1e3}
-    return Failure({**values, "what": what})
+    return Failure({**values, "what": text})
 
 
 @noted(
@@ -336,14 +336,14 @@ def stated_noise(record: StudyRecord) -> Failure | None:
 )
 def frequencies(record: StudyRecord) -> Failure | None:
     """Do all trials swing alike?"""
-    seen = [
+    strongest = [
         (f.spectrum.peaks_hz[0], f.spectrum.resolution_hz, f.name)
         for f in record[0]
         if f.spectrum is not None and f.spectrum.peaks_hz
     ]
-    if len(seen) < 2:
+    if len(strongest) < 2:
         return None
-    (low_hz, rough_hz, low), (high_hz, also_hz, high) = min(seen), max(seen)
+    (low_hz, rough_hz, low), (high_hz, also_hz, high) = min(strongest), max(strongest)
     if high_hz - low_hz < max(FREQUENCY * low_hz, rough_hz, also_hz):
         return None
     return Failure({"low_hz": low_hz, "low": low, "high_hz": high_hz, "high": high})
@@ -369,7 +369,7 @@ def roots_apart(record: StudyRecord) -> Failure | None:
     return Failure({**degrees, "name": name})
 
 
-#: Of every trial; all that fail are reported, of trials with the same sentence at once.
+#: Checks of every trial; all failures are reported, trials with the same sentence together.
 RECORD_NOTES = (
     never_moves,
     rest_frames,
@@ -388,19 +388,19 @@ RECORD_NOTES = (
     few_per_swing,
     few_swings,
 )
-#: Of all trials of a study together.
+#: Checks of all trials of a study jointly.
 STUDY_NOTES = (stated_noise, frequencies, roots_apart)
 
 
 def oddities(all_facts: Sequence[TrialFacts], noise_std_m: float | None) -> list[str]:
     """Warnings of the checks of each trial and of all trials jointly.
 
-    noise_std_m  that the study states; None = it states none
+    noise_std_m  stated noise of the study; None = not stated
     """
     of_trials: dict[str, list[str]] = {}
     for each in all_facts:
         record = TrialRecord(each, noise_std_m)
-        # Of a cable that nothing moves a swing is of no interest.
+        # Checks of the swing do not apply to a cable that nothing moves.
         checks = (never_moves,) if record.shows_nothing else RECORD_NOTES
         for _, sentence in failures(checks, record):
             of_trials.setdefault(sentence, []).append(each.name)

@@ -1,7 +1,7 @@
 """Checks by the shape at rest: expected swing frequency, and position and angle at the clamp.
 
 Neither needs a fitted model.  If the weight bends the cable, its droop gives the swing frequency,
-whatever its stiffness.  The curve through the markers, extended, ends at the clamp.
+independent of its stiffness.  The extended curve through the markers ends at the clamp.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ WEAK_M_PER_S2 = 1.0
 SWING = 1.545
 #: Of a chain that hangs: ω = 2.4048/2 √(g/L), by the first zero of the Bessel function J₀.
 CHAIN = 1.2024
-#: A droop of less than this share of the arc length is as well one of the clamp's angle.
+#: A droop of less than this share of the arc length may be due to the clamp's angle.
 _LEAST_DROOP = 0.05
-#: The nearest marker is within this share of the length, of so many, where the root is told.
+#: To estimate the root: largest arc length of the nearest marker, share of the length; least count.
 _NEAREST, _FEWEST = 0.12, 4
 #: Points at which the curve is integrated.
 _POINTS = 161
@@ -31,11 +31,11 @@ _POINTS = 161
 
 @dataclass(frozen=True)
 class SwingScale:
-    """Swing frequencies of a cable that follow from gravity, whatever its stiffness.
+    """Swing frequencies of a cable that follow from gravity, independent of its stiffness.
 
-    slowest_hz  of a chain that hangs: 1.2 √(g/L) / 2π; no cable is slower
-    droops_hz   of a cantilever that its weight bends by δ at its tip: √(1.545 g/δ) / 2π, for the
-                stiffness that its weight bends is the one that brings it back; nan = δ is not seen
+    slowest_hz  of a hanging chain: 1.2 √(g/L) / 2π; no cable is slower
+    droops_hz   of a cantilever with a droop δ of its tip: √(1.545 g/δ) / 2π, because the same
+                stiffness gives droop and restoring force; nan = δ is not visible
     droop_m     δ
     source      Euler-Bernoulli beam: δ = ρA g L⁴ / 8EI, ω² = 12.36 EI / (ρA L⁴)
     """
@@ -69,11 +69,11 @@ def swing_scale(
 
 @dataclass(frozen=True)
 class ClampedEnd:
-    """Where the curve through the markers at rest begins, relative to the trial's clamp pose.
+    """Root of the curve through the markers at rest, relative to the trial's clamp pose.
 
     away_m   from the gripping point; length_m of the cable, up to its last marker
-    turned_rad  of the direction in which it leaves, from the clamp angle; positive = down
-    worst_m  of the marker that is farthest from the curve, at arc length worst_arc_m
+    turned_rad  angle of its direction from the clamp angle; positive = down
+    worst_m  largest distance of a marker from the curve, at arc length worst_arc_m
     """
 
     away_m: float
@@ -90,26 +90,26 @@ def clamped_end(trial: Trial, rest: int, arc_length_m: FloatArray) -> ClampedEnd
     direction at s = 0, a and b.
     """
     still = trial.markers.xy_m[:rest]
-    seen = np.isfinite(still).all(axis=2).any(axis=0)
-    arcs = arc_length_m[seen]
+    visible = np.isfinite(still).all(axis=2).any(axis=0)
+    arcs = arc_length_m[visible]
     length_m = float(np.max(arcs, initial=0.0))
     near = np.isfinite(arcs).all() and length_m > 0.0 and arcs.min() <= _NEAREST * length_m
-    if trial.bent or np.count_nonzero(seen) < _FEWEST or not near:
+    if trial.bent or np.count_nonzero(visible) < _FEWEST or not near:
         return None
-    places = np.nanmedian(still[:, seen], axis=0) / length_m
+    places = np.nanmedian(still[:, visible], axis=0) / length_m
     grip = trial.grip
     clamp = np.array([grip.x_m[0], grip.y_m[0]]) / length_m
     angle = float(grip.angle_rad[0])
     away = places[np.argmin(arcs)] - clamp
-    seen_angle = float(np.arctan2(-away[1], -away[0])) if np.hypot(*away) > 1e-3 else angle
+    observed_angle = float(np.arctan2(-away[1], -away[0])) if np.hypot(*away) > 1e-3 else angle
 
-    def missed(q: FloatArray) -> FloatArray:
+    def residuals(q: FloatArray) -> FloatArray:
         return np.asarray(_curve(q, arcs / length_m) - places).ravel()
 
-    fits = [least_squares(missed, [*clamp, at, 0.0, 0.0]) for at in (angle, seen_angle)]
+    fits = [least_squares(residuals, [*clamp, at, 0.0, 0.0]) for at in (angle, observed_angle)]
     best = min(fits, key=lambda fit: float(fit.cost)).x
     turned = wrapped(float(best[2]) - angle)
-    apart = np.linalg.norm(missed(best).reshape(-1, 2), axis=1)
+    apart = np.linalg.norm(residuals(best).reshape(-1, 2), axis=1)
     worst = int(np.argmax(apart))
     return ClampedEnd(
         float(np.hypot(*(best[:2] - clamp))) * length_m,

@@ -1,7 +1,7 @@
 """Motion of the cable's root by its markers, compared with the gripper's.
 
 The cable is clamped, so its root moves as the gripping point does.  The root is extrapolated from
-the innermost markers.  What they show of the gripper's motion needs no model of the cable.
+the innermost markers.  This needs no model of the cable.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.data import Trial
 
-#: Markers by which the root is extrapolated, and rows in which they must be seen.
+#: Markers by which the root is extrapolated, and rows in which they must be detected.
 INNERMOST, _FEWEST_ROWS, _MOST_ROWS = 3, 20, 2000
-#: The gripper must move by this share of the outermost marker's arc length.
+#: Least motion of the gripper, share of the outermost marker's arc length.
 _LEAST_WAY = 0.1
-#: Delays between both clocks at which they are compared, s: other checks tell of a delay.
+#: Delays between both clocks at which they are compared, s: other checks test the delay.
 _DELAYS_S = np.linspace(-0.1, 0.1, 81)
-#: Rows over whose median noise and single wrong values are removed.
+#: Rows of a running median against noise and single wrong values.
 _MEDIAN_OF = 5
 
 
 @dataclass(frozen=True)
 class RootMotion:
-    """The root's motion compared with the gripper's, at the delay at which they differ least.
+    """The root's motion compared with the gripper's, at the delay of the least difference.
 
     way_m      extent of the gripper's motion along an axis
     scale      ratio of the root's motion and the gripper's, by least squares
     turned_rad  angle from the direction of the gripper's motion to that of the root's
-    apart_m    largest distance of both, each from its median
+    apart_m    largest distance of both, each relative to its median
     uncertainty_m  largest change of the root by the last term of the extrapolation, and its noise
     """
 
@@ -47,9 +47,9 @@ class RootMotion:
 
 
 def root_motion(trial: Trial, arc_length_m: FloatArray, noise_m: float) -> RootMotion | None:
-    """How the root moves; None if the gripper hardly moves, or too few markers show the root.
+    """The root's motion; None if the gripper hardly moves, or too few markers show the root.
 
-    None, too, if the gripper's motion is integrated from a sensor's and has an error of its own.
+    None, too, if the gripper's motion is integrated from a sensor's and has its own error.
 
     arc_length_m  (markers,) from the gripping point
     noise_m       of one coordinate in one frame; nan = unknown
@@ -89,7 +89,7 @@ def root_motion(trial: Trial, arc_length_m: FloatArray, noise_m: float) -> RootM
 def root_places_m(xy_m: FloatArray, arc_length_m: FloatArray) -> FloatArray:
     """(T, 2) root by markers (T, n, 2) in the order of their arc lengths (n,), at most the first 3.
 
-    nan where one of them was not seen.
+    nan where one of them was not detected.
     """
     arcs_m = arc_length_m[:INNERMOST]
     root_m: FloatArray = np.einsum("tmc,m->tc", xy_m[:, : len(arcs_m)], _weights(arcs_m))

@@ -1,12 +1,12 @@
 """Test whether two recordings are copies of one, by their common noise.
 
 Repetitions of a motion share their smooth course; their noise is independent.  Copies of one
-recording share the noise too, whatever was done to them: cropped, resampled, shifted in time,
-rotated, mirrored, written in another unit, rounded, with markers in another order.  So the smooth
-course is taken off both, and a linear map predicts the rest of one from that of the other.
+recording share the noise too, even after processing: cropped, resampled, shifted in time, rotated,
+mirrored, in a different unit, rounded, with reordered markers.  So the smooth course is subtracted
+from both, and a linear map predicts the residual of one from that of the other.
 
-A copy cannot be told where the data do not show their noise: after a strong low-pass, at a rate too
-low for the cable's swings, or rounded more coarsely than the noise.  Then trials count as
+A copy cannot be detected if the data do not show their noise: after a strong low-pass, at a rate
+too low for the cable's swings, or rounded more coarsely than the noise.  Then trials count as
 independent, unless they agree to a thousandth.
 """
 
@@ -27,17 +27,17 @@ from cell.cable.arrays import FloatArray
 from cell.study.data import Markers
 from cell.study.series import by_missing_pattern, interpolated
 
-#: Rows of a block, from which polynomials of half as many degrees are taken off: these follow what
-#: swings up to a tenth as fast as rows come.
+#: Rows of a block, from which polynomials of half as many degrees are subtracted: these follow
+#: swings up to a tenth of the frame rate.
 BLOCK = 24
-#: Two recordings must overlap in so many rows, and in this share of the shorter one.
+#: Least overlap of two recordings: rows, and share of the shorter one.
 LEAST_ROWS, LEAST_OVERLAP = 16, 0.25
-#: Probability that independent noise is explained as well, over all alignments that were tried.
+#: Probability that independent noise is explained as well, over all tested alignments.
 FALSE_ALARM = 1e-5
-#: Of a copy, at least this share of the noise is explained in nine of ten parts of the record: each
-#: a third of the degrees of a block and marker.  What a smooth course leaves is in few of them.
+#: Least explained share of a copy's noise in nine of ten parts of the record: each a third of the
+#: degrees of a block and marker.  Residuals of a smooth course are in few of them.
 LEAST_SHARED, LOWEST, BANDS = 0.5, 0.1, 3
-#: The same where rounding alone makes half of the noise, because equal courses are rounded alike.
+#: The same where rounding is half of the noise, because equal courses are rounded equally.
 LEAST_SHARED_ROUNDED = 0.98
 #: No alignment within half a row explains `LEAST_SHARED` where the symmetric filters at its middle
 #: explain less than this share.  Of linear interpolation half a row away, the worst case, symmetric
@@ -47,13 +47,13 @@ LEAST_FILTERED = 0.5 * LEAST_SHARED
 #: follow falls or rises by more, and repetitions share it.  They do not agree as well as this, but
 #: where they were simulated without noise: in proportion to their motions, as linear cables swing.
 STEEPEST, IDENTICAL = 5.0, 1e-6
-#: Rows on both sides that a low-pass or an interpolation has mixed.
+#: Rows on both sides that a low-pass or an interpolation may have mixed.
 TAPS = 6
-#: Order of the differences by which recordings are aligned, markers that are enough for it, and
-#: alignments that are examined.
+#: Order of the differences by which recordings are aligned, number of markers for it, and number of
+#: examined alignments.
 ORDER, ALIGNED_BY, EXAMINED = 4, 3, 3
-#: Those are not examined at which markers correlate by less than this, squared, per row, and by no
-#: more than noise does in some alignment.
+#: Least squared correlation of markers per row for an examined alignment, unless it exceeds that of
+#: noise in any alignment.
 CORRELATED, BY_CHANCE = 0.3, 50.0
 
 
@@ -71,18 +71,18 @@ def originals(recordings: Sequence[Markers], known: Sequence[Markers]) -> tuple[
     """For each recording, the index of the first known one that it copies; None = none."""
     prepared = [_Prepared.of(each) for each in known]
     return tuple(
-        next((i for i, other in enumerate(prepared) if _same(other, each)), None)
+        next((i for i, candidate in enumerate(prepared) if _same(candidate, each)), None)
         for each in map(_Prepared.of, recordings)
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Rows and markers of a recording in which something was seen.
+    """Rows and markers of a recording with detections.
 
     t_s      (T,)
-    xy       (T, markers, 2) in any unit, nan = not seen; 0 = a coordinate that never is
-    rounded  whether rounding makes half of its noise
+    xy       (T, markers, 2) in any unit, nan = not detected; 0 = a coordinate that never is
+    rounded  whether rounding is half of its noise
     """
 
     t_s: FloatArray
@@ -93,10 +93,10 @@ class _Prepared:
     def of(cls, markers: Markers) -> _Prepared:
         measured = np.isfinite(markers.xy_m).any(axis=0)
         xy = np.where(measured, markers.xy_m, 0.0)
-        seen = np.logical_and(np.isfinite(xy).all(axis=2), np.logical_or.reduce(measured, axis=1))
-        kept = seen.sum(axis=0) >= LEAST_ROWS
-        rows = np.logical_or.reduce(seen[:, kept], axis=1)
-        xy = np.where(seen[..., None], xy, np.nan)[rows][:, kept]
+        valid = np.logical_and(np.isfinite(xy).all(axis=2), np.logical_or.reduce(measured, axis=1))
+        enough = valid.sum(axis=0) >= LEAST_ROWS
+        rows = np.logical_or.reduce(valid[:, enough], axis=1)
+        xy = np.where(valid[..., None], xy, np.nan)[rows][:, enough]
         return cls(markers.t_s[rows], xy, xy.size > 0 and _is_rounded(xy))
 
     @property
@@ -105,11 +105,11 @@ class _Prepared:
 
     @property
     def by_row(self) -> _Prepared:
-        """The same with rows for time: one of two files may state its rate wrongly."""
+        """The same with rows for time, in case one file states its rate wrongly."""
         return replace(self, t_s=np.arange(len(self.t_s), dtype=np.float64))
 
     def at(self, t_s: FloatArray, markers: NDArray[np.intp]) -> FloatArray:
-        """(times, markers, 2) linearly between rows; nan beyond them."""
+        """(times, markers, 2) linear interpolation between rows; nan beyond them."""
         after = np.clip(np.searchsorted(self.t_s, t_s), 1, len(self.t_s) - 1)
         share = (t_s - self.t_s[after - 1]) / (self.t_s[after] - self.t_s[after - 1])
         share = np.round(share, 6)[:, None, None]  # clocks are written to a microsecond
@@ -119,12 +119,12 @@ class _Prepared:
         return np.asarray(np.where((share < 0.0) | (share > 1.0), np.nan, between))
 
     def spline(self, markers: NDArray[np.intp]) -> CubicSpline:
-        """Of (times, markers, 2) values, smoothly between rows and over gaps; nan beyond them."""
+        """Cubic spline of (times, markers, 2) values, also over gaps; nan beyond the rows."""
         each = [interpolated(self.t_s, self.t_s, self.xy[:, marker]) for marker in markers]
         return CubicSpline(self.t_s, np.stack(each, axis=1), extrapolate=False)
 
     def differences(self, start_s: float, step_s: float) -> FloatArray:
-        """(times, markers, 2) of high order at equal steps, of variance 1; 0 where not seen."""
+        """(times, markers, 2) of high order at equal steps, of variance 1; 0 where missing."""
         count = int(np.floor((self.t_s[-1] - start_s) / step_s + 1e-6)) + 1
         t_s = np.asarray(start_s + step_s * np.arange(count), dtype=np.float64)
         xy = self.at(t_s, np.arange(self.xy.shape[1]))
@@ -134,7 +134,7 @@ class _Prepared:
 
 
 def _is_rounded(xy: FloatArray) -> bool:
-    """Whether rounding makes half of the noise of values (T, markers, 2), by the usual column."""
+    """Whether rounding is half of the noise of values (T, markers, 2), by the median column."""
     noise, rounding = [], []
     for column in xy.reshape(len(xy), -1).T:
         values = column[np.isfinite(column)]
@@ -148,7 +148,7 @@ def _is_rounded(xy: FloatArray) -> bool:
 
 
 def _same(first: _Prepared, second: _Prepared) -> bool:
-    """Whether two are one recording, by their own times or else row by row."""
+    """Whether two are one recording, by their own times or else by rows."""
     if not (first.xy.size and second.xy.size):
         return False
     finer, coarser = sorted((first, second), key=lambda each: each.step_s)
@@ -167,25 +167,25 @@ def _noise_is_shared(finer: _Prepared, coarser: _Prepared) -> bool:
     for late_s in late:
         pairs = _matched_markers(finer, coarser, late_s)
         shifts = _shifts_near(finer, coarser, late_s)
-        filtered = _explained(finer, coarser, late_s, pairs, TAPS)
+        filtered = _regression(finer, coarser, late_s, pairs, TAPS)
         if filtered is not None and filtered.share < LEAST_FILTERED:
             continue
         others = [(shifts[0], TAPS), *((s, 0) for s in shifts)]
-        each = (_explained(finer, coarser, s, pairs, taps) for s, taps in others)
-        for found in itertools.chain([filtered], each):
-            if found is None or found.chance * tried >= FALSE_ALARM:
+        each = (_regression(finer, coarser, s, pairs, taps) for s, taps in others)
+        for explained in itertools.chain([filtered], each):
+            if explained is None or explained.chance * tried >= FALSE_ALARM:
                 continue
-            noise = found.share >= least and found.steepness < STEEPEST
-            if noise or (found.unexplained < IDENTICAL and found.rewritten):
+            noise = explained.share >= least and explained.steepness < STEEPEST
+            if noise or (explained.unexplained < IDENTICAL and explained.rewritten):
                 return True
     return False
 
 
 def _alignments(finer: _Prepared, coarser: _Prepared) -> tuple[list[float], int]:
-    """By how much the finer's clock may be ahead, the likeliest first; and how many were tried.
+    """Candidates for the lead of the finer's clock, the likeliest first; number of tested ones.
 
-    Those at which differences of high order correlate most, whichever markers are the same and
-    however their coordinates are turned.
+    They maximise the correlation of differences of high order, for any matching of markers and any
+    rotation of coordinates.
     """
     step_s, start_s = coarser.step_s, float(finer.t_s[0])
     b = coarser.differences(float(coarser.t_s[0]), step_s)
@@ -203,7 +203,7 @@ def _alignments(finer: _Prepared, coarser: _Prepared) -> tuple[list[float], int]
     size = next_fast_len(len(b) + max(map(len, grids)))
     lags = np.concatenate([np.arange(size // 2), np.arange(size // 2 - size, 0)])
     of_b = np.conj(rfft(b, size, axis=0))[:, None, :, None, :]
-    found: list[tuple[float, float]] = []
+    ranked: list[tuple[float, float]] = []
     for offset_s, a in zip(offsets_s, grids, strict=True):
         overlap = np.minimum(len(b), len(a) - lags) - np.maximum(0, -lags)
         least = max(LEAST_ROWS - ORDER, LEAST_OVERLAP * min(len(a), len(b)))
@@ -215,13 +215,13 @@ def _alignments(finer: _Prepared, coarser: _Prepared) -> tuple[list[float], int]
         for k in np.argsort(-chi2)[:EXAMINED]:
             if chi2[k] > 0.0:
                 late_s = start_s + offset_s + lags[k] * step_s - float(coarser.t_s[0])
-                found.append((-float(chi2[k]), late_s))
+                ranked.append((-float(chi2[k]), late_s))
     tried = len(lags) * phases * finer.xy.shape[1] * coarser.xy.shape[1]
-    return [late_s for _, late_s in sorted(found)[:EXAMINED]], tried
+    return [late_s for _, late_s in sorted(ranked)[:EXAMINED]], tried
 
 
 def _matched_markers(finer: _Prepared, coarser: _Prepared, late_s: float) -> NDArray[np.intp]:
-    """(pairs, 2) markers of the finer and of the coarser that differ alike from row to row."""
+    """(pairs, 2) markers of the finer and of the coarser with the best correlated differences."""
     every = np.arange(finer.xy.shape[1])
     a, b = (
         np.nan_to_num(np.diff(xy, ORDER, axis=0))
@@ -234,7 +234,7 @@ def _matched_markers(finer: _Prepared, coarser: _Prepared, late_s: float) -> NDA
 
 
 def _shifts_near(finer: _Prepared, coarser: _Prepared, late_s: float) -> list[float]:
-    """Shifts of the clock: that at which rows meet, then a few within half a step."""
+    """Shifts of the clock: that at which rows coincide, then a few within half a step."""
     t_s = coarser.t_s + late_s
     after = np.clip(np.searchsorted(finer.t_s, t_s), 1, len(finer.t_s) - 1)
     to_before_s, to_after_s = finer.t_s[after - 1] - t_s, finer.t_s[after] - t_s
@@ -249,11 +249,11 @@ def _shifts_near(finer: _Prepared, coarser: _Prepared, late_s: float) -> list[fl
 class _Explained:
     """The noise of one recording as a linear function of another's.
 
-    share        that is explained in the parts of the record that are explained least
-    unexplained  share of all
-    chance       of that by independent noise
+    share        explained share in the parts of the record with the least one
+    unexplained  residual share of the record
+    chance       probability of that for independent noise
     steepness    see `_steepness`; of the flatter recording
-    rewritten    whether the function turns, mirrors, or changes a unit by powers of ten
+    rewritten    whether the function rotates, mirrors, or changes a unit by powers of ten
     """
 
     share: float
@@ -263,18 +263,18 @@ class _Explained:
     rewritten: bool
 
 
-def _explained(
+def _regression(
     finer: _Prepared, coarser: _Prepared, late_s: float, pairs: NDArray[np.intp], taps: int
 ) -> _Explained | None:
-    """The coarser's noise by the finer's at a shift of clocks; None = too few rows.
+    """Regression of the coarser's noise on the finer's at a shift of clocks; None = too few rows.
 
-    taps  rows on both sides that count too
+    taps  rows on both sides that are regressors too
     """
     t_s, markers = coarser.t_s + late_s, pairs[:, 0]
     values = [coarser.xy[:, pairs[:, 1]], finer.at(t_s, markers)]
     if taps:
-        smooth, seen = finer.spline(markers), np.isfinite(values[1])
-        values.append(np.where(seen, smooth(t_s), np.nan))
+        smooth, detected = finer.spline(markers), np.isfinite(values[1])
+        values.append(np.where(detected, smooth(t_s), np.nan))
         ways_s = finer.step_s * np.arange(1, taps + 1)
         values += [smooth(t_s + way_s) + smooth(t_s - way_s) for way_s in ways_s]
     parts = _high_degrees(t_s, np.concatenate(values, axis=2))
@@ -289,30 +289,30 @@ def _explained(
     if min(columns, regressors) == 0 or count < 2 * columns * regressors:
         return None
     solution = np.linalg.lstsq(x, y, rcond=1e-9)[0]
-    left, total, other = (  # of every part and coordinate
+    residual, total, predictor = (  # of every part and coordinate
         np.add.reduceat(v**2, starts, axis=0) for v in (y - x @ solution, y, x[:, :2])
     )
-    unexplained = float(left.sum() / total.sum())
+    unexplained = float(residual.sum() / total.sum())
     by_chance = 0.5 * (count - columns * regressors), 0.5 * columns * regressors
     measured = total > 0.0
     return _Explained(
-        share=float(np.quantile(1.0 - left[measured] / total[measured], LOWEST)),
+        share=float(np.quantile(1.0 - residual[measured] / total[measured], LOWEST)),
         unexplained=unexplained,
         chance=float(betainc(*by_chance, min(unexplained, 1.0))),
-        steepness=min(_steepness(total, sizes), _steepness(other, sizes)),
+        steepness=min(_steepness(total, sizes), _steepness(predictor, sizes)),
         rewritten=taps == 0 and _is_rewriting(solution),
     )
 
 
 def _is_rewriting(linear: FloatArray) -> bool:
-    """Whether (2, 2) keeps all lengths but for the unit: cables do not swing so in proportion."""
+    """Whether (2, 2) is an isometry up to a unit: swings of cables are not proportional so."""
     scale = np.linalg.svd(linear, compute_uv=False)
     decades = np.log10(scale[scale > 1e-3 * scale[0]])
     return bool(np.all(np.abs(decades - np.round(decades[0])) < 1e-3))
 
 
 def _steepness(squares: FloatArray, sizes: NDArray[np.intp]) -> float:
-    """Largest mean square of a band over the smallest, by the coordinate in which it is least."""
+    """Ratio of the largest and smallest mean square of a band, least over the coordinates."""
     bands = range(BANDS)
     level = np.array([squares[b::BANDS].sum(axis=0) / sizes[b::BANDS].sum() for b in bands])
     level = level[:, level.min(axis=0) > 0.0]
@@ -322,15 +322,15 @@ def _steepness(squares: FloatArray, sizes: NDArray[np.intp]) -> float:
 def _high_degrees(t_s: FloatArray, values: FloatArray) -> list[FloatArray]:
     """(parts, degrees, channels) coefficients of polynomials, orthonormal on the rows of a block.
 
-    Of every block of every marker, the higher half of the degrees in `BANDS` parts; one array for
-    all markers that are seen in the same rows.
-    values  (T, markers, channels), nan = not seen
+    For every block of every marker, the higher half of the degrees in `BANDS` parts; one array for
+    all markers that are detected in the same rows.
+    values  (T, markers, channels), nan = not detected
     """
     good = np.logical_and.reduce(np.isfinite(values), axis=2)
-    found: list[FloatArray] = []
+    coefficients: list[FloatArray] = []
     for markers in by_missing_pattern(good):
-        seen = good[:, markers[0]]
-        times, channels = t_s[seen], values[seen][:, markers]
+        detected = good[:, markers[0]]
+        times, channels = t_s[detected], values[detected][:, markers]
         if len(times) < LEAST_ROWS:
             continue
         blocks = max(1, round(len(times) / BLOCK))
@@ -344,5 +344,5 @@ def _high_degrees(t_s: FloatArray, values: FloatArray) -> list[FloatArray]:
         flat = channels[rows].reshape(blocks, size, -1)
         high = np.swapaxes(basis[:, :, degrees:], 1, 2) @ flat  # (blocks, degrees, all channels)
         high = high.reshape(blocks, degrees, len(markers), -1).transpose(2, 0, 1, 3)
-        found.append(high.reshape(-1, degrees // BANDS, values.shape[2]))
-    return found
+        coefficients.append(high.reshape(-1, degrees // BANDS, values.shape[2]))
+    return coefficients

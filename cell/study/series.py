@@ -9,9 +9,9 @@ from cell.cable.arrays import FloatArray
 
 
 def span_m(xy_m: FloatArray, cut: float = 0.0) -> float:
-    """Span of positions (T, d) over the coordinates that are seen; nan if there are none.
+    """Span of positions (T, d) over the detected coordinates; nan if there are none.
 
-    cut  share of the smallest and of the largest values that do not count: single wrong ones
+    cut  share of the smallest and of the largest values that are ignored, for single wrong ones
     """
     good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
     if not good.size:
@@ -26,11 +26,11 @@ def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def forward_filled(values: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-    """Values (T, …), each that is not seen (T, channels) as last seen; the first ones stay."""
-    rows = np.where(seen, np.arange(len(seen))[:, None], 0)
+def forward_filled(values: FloatArray, detected: NDArray[np.bool_]) -> FloatArray:
+    """Values (T, …) with missing ones, by `detected` (T, channels), as last detected."""
+    rows = np.where(detected, np.arange(len(detected))[:, None], 0)
     last = np.maximum.accumulate(rows, axis=0)
-    return np.array(values[last, np.arange(seen.shape[1])])
+    return np.array(values[last, np.arange(detected.shape[1])])
 
 
 def rounding_step_m(values_m: FloatArray) -> float:
@@ -42,7 +42,7 @@ def rounding_step_m(values_m: FloatArray) -> float:
 def first_lasting(flags: NDArray[np.bool_], count: int) -> int | None:
     """Index of the first of `count` successive true values (T,); None = there are none.
 
-    The last value is taken to go on.
+    The last value is assumed to continue.
     """
     ahead = np.concatenate([flags, np.repeat(flags[-1:], count - 1)])
     lasts = np.lib.stride_tricks.sliding_window_view(ahead, count).all(axis=1)
@@ -50,19 +50,19 @@ def first_lasting(flags: NDArray[np.bool_], count: int) -> int | None:
 
 
 def interpolated(at_s: FloatArray, t_s: FloatArray, values: FloatArray) -> FloatArray:
-    """(at, d) values (T, d) at other times, each between those that are seen; nan = none is."""
+    """(at, d) linear interpolation of the detected values (T, d) at times; nan = none is."""
     between = np.full((len(at_s), values.shape[1]), np.nan)
     for channel, series in enumerate(values.T):
-        seen = np.isfinite(series)
-        if seen.any():
-            between[:, channel] = np.interp(at_s, t_s[seen], series[seen])
+        detected = np.isfinite(series)
+        if detected.any():
+            between[:, channel] = np.interp(at_s, t_s[detected], series[detected])
     return between
 
 
-def by_missing_pattern(seen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Indices of channels of `seen` (T, channels), grouped by the rows in which they are seen."""
+def by_missing_pattern(detected: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Indices of channels of `detected` (T, channels), grouped by equal patterns of rows."""
     alike: dict[bytes, list[int]] = {}
-    for channel, rows in enumerate(seen.T):
+    for channel, rows in enumerate(detected.T):
         alike.setdefault(rows.tobytes(), []).append(channel)
     return [np.array(channels) for channels in alike.values()]
 
@@ -70,7 +70,7 @@ def by_missing_pattern(seen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 def noise_m(still_m: FloatArray) -> float:
     """Noise of one coordinate in one frame (T, …) at rest, by second differences; nan = too few.
 
-    Slow errors do not show in it.
+    Slow errors do not contribute.
     """
     bends = np.abs(np.diff(still_m, 2, axis=0)) / np.sqrt(6.0)
     if len(bends) < 3 or not np.isfinite(bends).any():

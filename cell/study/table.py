@@ -1,4 +1,4 @@
-"""A CSV table of numbers with a header, read so that every complaint names its line and column."""
+"""Reads CSV tables of numbers with a header; every error names its line and column."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.files.words import counted
 
-#: Beyond this a number is taken for a mistaken unit, s.
+#: Limit beyond which a unit is assumed to be wrong, s.
 MAX_TRIAL_S = 30.0
-#: A minute at 1000 rows a second, and what 100 markers need for it.
+#: Limits: a minute at 1000 rows a second, and its size with 100 markers.
 MAX_ROWS = 60_000
 MAX_BYTES = 100_000_000
 
@@ -50,29 +50,29 @@ class Table:
 def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
     """Read the named columns, in this order whatever their order in the file.
 
-    Columns without a name in which nothing stands, as a spreadsheet writes them, are left out.
+    Empty columns without a name, as a spreadsheet writes them, are skipped.
 
-    optional  columns that may be missing, and are then not among the table's
+    optional  columns that may be missing, and are then not in the table
     raises  InputError: the file, a column or a cell is missing, unknown or not a number
     """
     text = read_text(path, MAX_BYTES)
-    rows_given = text.count("\n")
-    if rows_given > MAX_ROWS:
+    row_count = text.count("\n")
+    if row_count > MAX_ROWS:
         message = (
-            f"has {counted(rows_given, 'row')}, limit {MAX_ROWS}; cut it to the motion and the "
+            f"has {counted(row_count, 'row')}, limit {MAX_ROWS}; cut it to the motion and the "
             "swing after it, a few seconds, or leave out rows: 200 a second are plenty"
         )
         raise InputError.at(path, message, line=MAX_ROWS)
     reader = _cells(path, text)
-    given = [name.strip() for name in next(reader, (1, []))[1]]
-    header = [name for name in given if name]
+    names = [name.strip() for name in next(reader, (1, []))[1]]
+    header = [name for name in names if name]
     columns = _all_columns(path, header, columns, optional)
     rows: list[list[float]] = []
     lines: list[int] = []
     for line, cells in reader:
         if not any(cell.strip() for cell in cells):
             continue
-        cells = _named(path, line, cells, given)
+        cells = _named_cells(path, line, cells, names)
         try:
             rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
         except ValueError:
@@ -93,7 +93,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
 def _all_columns(
     path: Path, header: Sequence[str], columns: Sequence[str], optional: Sequence[str]
 ) -> list[str]:
-    """The wanted columns, and those of the optional ones that are there.
+    """The required columns, and the optional ones that exist.
 
     raises  InputError: one is missing, unknown or given twice
     """
@@ -106,10 +106,10 @@ def _all_columns(
         close = difflib.get_close_matches(missing[0], unknown, 1, 0.5)
         hint = f"; is {close[0]!r} meant for it?" if close else ""
         message = f"column {missing[0]} is missing ({len(missing)} in all){hint}; needed: "
-        raise InputError.at(path, f"{message}{_listed(columns)}")
+        raise InputError.at(path, f"{message}{_list_text(columns)}")
     if unknown:
-        also = f"; possible: {_listed(optional)}" if optional else ""
-        message = f"unknown column; needed: {_listed(columns)}{also}; remove it"
+        also = f"; possible: {_list_text(optional)}" if optional else ""
+        message = f"unknown column; needed: {_list_text(columns)}{also}; remove it"
         raise InputError.at(path, message, key=unknown[0])
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
@@ -117,19 +117,19 @@ def _all_columns(
     return columns
 
 
-def _named(path: Path, line: int, cells: Sequence[str], given: Sequence[str]) -> list[str]:
+def _named_cells(path: Path, line: int, cells: Sequence[str], names: Sequence[str]) -> list[str]:
     """Cells of a line that have a name in the header.
 
-    raises  InputError: there are too few, or something stands where no name is
+    raises  InputError: there are too few, or a cell without a name is not empty
     """
-    if any(cell.strip() for cell in cells[len(given) :]) or any(given[len(cells) :]):
-        message = f"has {len(cells)} cells, the header has {len(given)}; give one for each name, "
+    if any(cell.strip() for cell in cells[len(names) :]) or any(names[len(cells) :]):
+        message = f"has {len(cells)} cells, the header has {len(names)}; give one for each name, "
         raise InputError.at(path, f"{message}1.5 and not 1,5 as a number", line=line)
-    for i, (name, cell) in enumerate(zip(given, cells, strict=False)):
+    for i, (name, cell) in enumerate(zip(names, cells, strict=False)):
         if not name and cell.strip():
             message = f"has no name, yet {reprlib.repr(cell)} stands in it; empty it or name it"
             raise InputError.at(path, message, line=line, key=f"column {i + 1}")
-    return [cell for name, cell in zip(given, cells, strict=False) if name]
+    return [cell for name, cell in zip(names, cells, strict=False) if name]
 
 
 def check_times(table: Table) -> None:
@@ -177,7 +177,7 @@ def _cells(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
         raise InputError.at(path, message, line=reader.line_num) from error
 
 
-def _listed(columns: Sequence[str]) -> str:
+def _list_text(columns: Sequence[str]) -> str:
     return ", ".join(columns) if len(columns) <= 6 else f"{', '.join(columns[:5])} … {columns[-1]}"
 
 

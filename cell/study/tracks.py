@@ -1,4 +1,4 @@
-"""Statistics of marker tracks: markers that are exchanged, lost, held still or one and the same."""
+"""Statistics of marker tracks: exchanged, lost, frozen or identical markers."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.study.series import forward_filled, rounding_step_m, runs, span_m
 
-#: Two have changed places if each is nearer to where the other was, or was going, than to its own
-#: by this factor, and if they were farther apart than this many times what they usually move beside
-#: one another within a row, noise included.
+#: Two have changed places if each is nearer to the other's former or predicted place than to its
+#: own by this factor, and if their distance exceeds this multiple of its usual change per row,
+#: noise included.
 NEARER, APART = 4.0, 4.0
 #: Pairs that are compared at once.
 _AT_ONCE = 100_000
-#: Places are the same within this; cameras measure less well, m.
+#: Tolerance for equal places, m; cameras are less precise.
 SAME_M = 1e-7
-#: A lost marker stays in so many rows.
+#: Least number of rows in which a lost marker stays.
 FROZEN_ROWS = 6
-#: Steps of rounded values, of which one that only turns goes no more from row to row.
+#: Rounding steps: largest change per row of a marker that only changes its direction.
 STEPS = 3.0
-#: Rows that repeat the one before in all numbers are noted from so many in a row on, if the step
-#: after them is so many usual ones: a cable at rest, rounded, repeats itself too.
+#: Least number of successive identical rows that is noted, if the next step is this multiple of the
+#: usual one: a cable at rest, rounded, repeats its rows too.
 HELD_ROWS, HELD_JUMP = 3, 2.0
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """Two markers that are exchanged from a row on, until another or the end (exclusive)."""
+    """Two markers that are exchanged from a row to another or the end (exclusive)."""
 
     first: int
     second: int
@@ -42,47 +42,47 @@ class Exchange:
 def exchanges(xy_m: FloatArray) -> list[Exchange]:
     """Markers of a trial that change places, in the order of rows.
 
-    A marker is compared with where it was seen last, and with where it was going.
+    A marker is compared with its last place, and with its extrapolated place.
 
-    xy_m  (T, markers, 2), nan = not seen
+    xy_m  (T, markers, 2), nan = not detected
     """
-    seen = np.asarray(np.isfinite(xy_m).all(axis=2))
-    there = forward_filled(xy_m, seen)  # nan before it is seen at all
+    detected = np.asarray(np.isfinite(xy_m).all(axis=2))
+    there = forward_filled(xy_m, detected)  # nan before the first detection
     events: dict[tuple[int, int], list[int]] = {}
     for row in _exchange_candidates(there):
         before, goes_on = there[row - 1], 2.0 * there[row - 1] - there[max(row - 2, 0)]
-        for pair in {*_changed(before, there[row]), *_changed(goes_on, there[row])}:
+        for pair in {*_swapped_pairs(before, there[row]), *_swapped_pairs(goes_on, there[row])}:
             if _are_distinguishable(there, *pair):
                 events.setdefault(pair, []).append(row)
                 there[row:, pair] = there[row:, pair[::-1]]
-    found = []
+    listed = []
     for (first, second), rows in events.items():
         ends = [*rows[1::2], len(there)]
-        found += [Exchange(first, second, a, b) for a, b in zip(rows[::2], ends, strict=False)]
-    return sorted(found, key=lambda e: e.row)
+        listed += [Exchange(first, second, a, b) for a, b in zip(rows[::2], ends, strict=False)]
+    return sorted(listed, key=lambda e: e.row)
 
 
 def _exchange_candidates(there: FloatArray) -> list[int]:
     """Rows in which any two may have changed places."""
     goes_on = 2.0 * there[:-1] - np.concatenate([there[:1], there[:-2]])
-    found: list[int] = []
+    rows: list[int] = []
     together = max(1, _AT_ONCE // there.shape[1] ** 2)
     for first in range(0, len(goes_on), together):
         some = slice(first, first + together)
         now_m = there[1:][some]
         any_of = [_both_nearer(b[some], now_m).any(axis=(1, 2)) for b in (there[:-1], goes_on)]
-        found += (np.flatnonzero(any_of[0] | any_of[1]) + first + 1).tolist()
-    return found
+        rows += (np.flatnonzero(any_of[0] | any_of[1]) + first + 1).tolist()
+    return rows
 
 
-def _changed(before_m: FloatArray, now_m: FloatArray) -> list[tuple[int, int]]:
+def _swapped_pairs(before_m: FloatArray, now_m: FloatArray) -> list[tuple[int, int]]:
     """Pairs of markers (markers, 2) that have changed places."""
     both = _both_nearer(before_m[None], now_m[None])[0]
     return [(int(a), int(b)) for a, b in np.argwhere(np.triu(both, 1))]
 
 
 def _both_nearer(before_m: FloatArray, now_m: FloatArray) -> NDArray[np.bool_]:
-    """(rows, markers, markers) which of two, (rows, markers, 2), are where the other was."""
+    """(rows, markers, markers) which of two, (rows, markers, 2), are at the other's place."""
     moved_m = np.linalg.norm(now_m[:, None] - before_m[:, :, None], axis=3)  # (from, to)
     own_m = np.diagonal(moved_m, axis1=1, axis2=2)
     nearer = NEARER * moved_m < own_m[:, :, None]
@@ -90,7 +90,7 @@ def _both_nearer(before_m: FloatArray, now_m: FloatArray) -> NDArray[np.bool_]:
 
 
 def _are_distinguishable(there: FloatArray, first: int, second: int) -> bool:
-    """Whether two markers are told apart by more than they move beside one another."""
+    """Whether the distance of two markers exceeds its usual change per row."""
     between = there[:, first] - there[:, second]
     usual_m = np.nanmedian(np.linalg.norm(np.diff(between, axis=0), axis=1))
     return bool(np.nanmedian(np.linalg.norm(between, axis=1)) > APART * usual_m)
@@ -98,7 +98,7 @@ def _are_distinguishable(there: FloatArray, first: int, second: int) -> bool:
 
 @dataclass(frozen=True)
 class Frozen:
-    """The rows, first and last, in which a marker stays, and by how much others move meanwhile."""
+    """First and last row in which a marker stays, and the motion of others meanwhile."""
 
     marker: int
     first: int
@@ -111,23 +111,23 @@ def frozen(
 ) -> Frozen | None:
     """A marker that stays exactly in place while the cable moves; None if there is none.
 
-    Rounded values of a marker that changes direction may stay, too; then they go on by one step.
+    Rounded values of a marker that changes direction may stay, too; then they change by one step.
 
-    xy_m     (T, markers, 2), nan = not seen
-    hands_m  (delays, T, 2) gripper, if the pictures are late by each of these: the cable moves
-             later than a log without delay says
+    xy_m     (T, markers, 2), nan = not detected
+    hands_m  (delays, T, 2) gripper for each delay of the pictures: the cable moves later than in a
+             log without delay
     markers  numbers of those that are tested
-    least_m  by which the gripper or another marker moves meanwhile
+    least_m  least motion of the gripper or a further marker meanwhile
     """
     for marker in markers:
         own_m = xy_m[:, marker]
-        seen = np.flatnonzero(np.isfinite(own_m).all(axis=1))
+        detected = np.flatnonzero(np.isfinite(own_m).all(axis=1))
         # One coordinate alone may stay, rounded, while the cable moves along the other.
-        same = np.abs(np.diff(own_m[seen], axis=0)).max(axis=1) <= SAME_M
+        same = np.abs(np.diff(own_m[detected], axis=0)).max(axis=1) <= SAME_M
         for a, b in runs(same):
             if b - a + 2 < FROZEN_ROWS:
                 continue
-            first, last = int(seen[a]), int(seen[b + 1])
+            first, last = int(detected[a]), int(detected[b + 1])
             rows = slice(first, last + 1)
             others_m = [np.nan_to_num(span_m(p, 0.05)) for p in xy_m[rows].swapaxes(0, 1)]
             moved_m = float(max(*others_m, min(span_m(p[rows], 0.05) for p in hands_m)))
@@ -140,15 +140,15 @@ def frozen(
 
 
 def _jump_m(xy_m: FloatArray, first: int, last: int) -> float:
-    """How far a point (T, 2) comes from before some rows, or goes after them; inf if it never does.
+    """Distance of a point (T, 2) from its places before and after some rows; inf without any.
 
     Along one coordinate.
     """
-    seen = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
-    if last == seen[-1]:
+    detected = np.flatnonzero(np.isfinite(xy_m).all(axis=1))
+    if last == detected[-1]:
         return np.inf
-    before = int(seen[max(int(np.searchsorted(seen, first)) - 1, 0)])
-    after = int(seen[int(np.searchsorted(seen, last)) + 1])
+    before = int(detected[max(int(np.searchsorted(detected, first)) - 1, 0)])
+    after = int(detected[int(np.searchsorted(detected, last)) + 1])
     return float(np.abs(xy_m[[before, after]] - xy_m[[first, last]]).max())
 
 
@@ -164,7 +164,7 @@ def identical(xy_m: FloatArray) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
 def repeated_rows(xy_m: FloatArray) -> tuple[int, int] | None:
     """First row and number of rows that repeat the one before in all values, then jump; or None.
 
-    xy_m  (T, markers, 2), nan = not seen
+    xy_m  (T, markers, 2), nan = not detected
     """
     flat_m = xy_m.reshape(len(xy_m), -1)
     both = np.isfinite(flat_m[1:]) & np.isfinite(flat_m[:-1])
@@ -173,7 +173,7 @@ def repeated_rows(xy_m: FloatArray) -> tuple[int, int] | None:
     usual_m = float(np.median(steps_m[~same])) if not same.all() else np.inf
     for begin, end in runs(same):
         jumps = end + 1 < len(same) and steps_m[end + 1] > HELD_JUMP * usual_m
-        # A cable that rests until it is moved repeats itself too, but did not move before.
+        # A cable that rests before the motion repeats its rows too, but did not move before.
         moved = begin > 0 and steps_m[begin - 1] > 0.5 * usual_m
         if jumps and moved and end - begin + 1 >= HELD_ROWS:
             return begin + 1, end - begin + 1

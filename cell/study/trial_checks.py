@@ -1,8 +1,8 @@
 """Checks whether a trial is of the cable described: coordinate frame, reach, clock, units.
 
-A model can be fitted to mirrored or reversed markers too, with intervals and all.  A check that is
-`refused` fails by what no cable does, and no effect of the library shows: the study is not read.
-One that is `noted` fails by what only a rare cable or a rare effect does: the reader decides.
+A model can be fitted to mirrored or reversed markers too, with intervals and all.  A `refused`
+check fails for data that no cable and no effect of the library explains: the study is not read.
+A `noted` check fails for data of a rare cable or a rare effect: the reader decides.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from cell.study.tracks import FROZEN_ROWS, NEARER, exchanges, frozen
 
 #: Room for noise, a slipping grip and a camera whose scale is off, as a share of the free length.
 SLACK = 0.1
-#: Of a clamp steeper than this nobody can say to which side the cable leaves it, rad.
+#: Steepest clamp for which the side of the cable is defined, rad.
 SIDEWAYS_RAD = np.pi / 3
 #: Both ends are held if the farthest marker stays within this share of what the gripper, or the
 #: cable between, moves: a bead on a thread follows by more, unless it is shaken seven times as fast
 #: as it swings.  What moves must do so by a share of the cable, for what hardly moves shows
-#: nothing.  The marker must be in the outer half, and seen in so many rows.
+#: nothing.  The marker must be in the outer half, and detected in this number of rows.
 HELD_STAYS, HELD_MOVES, OUTER, HELD_ROWS = 0.02, 0.1, 0.5, 20
 #: Of the earth.
 GRAVITY_M_PER_S2 = 9.81
 #: A cable that hangs swings about like a rod of its length, in 5.1 √(L/g), or as a bead at the end
 #: of a thread in 6.3 √(L/g); bending makes it faster.
 SLOWEST = 2.0 * np.pi
-#: A gripper that moves so many times as far as its markers is given in another unit.
+#: Ratio of the motions of gripper and markers above which their units differ.
 OTHER_UNIT = 30.0
 #: A lost marker is in the outer part of the cable, and the gripper or another one moves by this
 #: share of the free length: a cable that is held at its clamp moves there by 1 % of it.
@@ -62,7 +62,7 @@ _CLOCK_LIMIT = f"{WITHIN_S:g} s or {WITHIN:g} √(L/g), and two frames"
 
 @dataclass(frozen=True, eq=False)
 class TrialEvidence:
-    """A trial, and what its study says of cable and gravity.
+    """A trial, with cable and gravity of its study.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     across_m      (T, markers) coordinate across the plane; None = the file has two coordinates
@@ -81,12 +81,12 @@ class TrialEvidence:
 
     @property
     def slack_m(self) -> float:
-        """Room for what may be off in every place."""
+        """Tolerance of every place, m."""
         return SLACK * self.cable.length_m
 
     @cached_property
     def source(self) -> Source:
-        """Where the markers stand, or would as written."""
+        """Place of the markers in files, or in files as they would be written."""
         return self.trial.source
 
     @cached_property
@@ -107,12 +107,12 @@ class TrialEvidence:
 
     @cached_property
     def at_rest(self) -> NDArray[np.bool_]:
-        """(T,) frames before the gripper moves, of a cable that nothing else holds or swings."""
+        """(T,) frames before the gripper moves, of a cable that is neither held nor swinging."""
         return at_rest(self.trial)
 
     @cached_property
     def offset(self) -> Offset | None:
-        """That gripper and cable begin to move far apart in time."""
+        """Start times of gripper and cable, if far apart; else None."""
         return offset(self.trial, self.cable, self.weight)
 
     @cached_property
@@ -132,16 +132,16 @@ class TrialEvidence:
 
     @cached_property
     def log_cut_off(self) -> CutOff | None:
-        """An end of the log in motion, while markers are seen beyond; none if it has gaps."""
+        """An end of the log in motion, with later markers; none if it has gaps."""
         markers = self.trial.markers
         if self.log_gap is not None:
             return None
-        seen_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
-        return cut_off(self.poses, float(seen_s[0]), float(seen_s[-1]))
+        detected_s = markers.t_s[np.isfinite(markers.xy_m).any(axis=(1, 2))]
+        return cut_off(self.poses, float(detected_s[0]), float(detected_s[-1]))
 
-    def tip(self, seen: NDArray[np.bool_]) -> int:
-        """The marker farthest along the cable among those seen (markers,)."""
-        return int(np.argmax(np.where(seen, self.arc_length_m, -1.0)))
+    def tip(self, detected: NDArray[np.bool_]) -> int:
+        """The marker farthest along the cable among those detected (markers,)."""
+        return int(np.argmax(np.where(detected, self.arc_length_m, -1.0)))
 
 
 @refused(
@@ -161,7 +161,7 @@ def hand_unit(e: TrialEvidence) -> Failure | None:
 
 
 def _widest_m(xy_m: FloatArray) -> float:
-    """How far apart places (…, 2) are along either axis, what was seen of them."""
+    """Largest span of the detected places (…, 2) along either axis."""
     axes = [v[np.isfinite(v)] for v in xy_m.reshape(-1, 2).T]
     return max(float(np.ptp(v)) if v.size else 0.0 for v in axes)
 
@@ -192,12 +192,12 @@ def cable_ahead(e: TrialEvidence) -> Failure | None:
 
 
 def _cable_ahead_and_far(e: TrialEvidence) -> Failure | None:
-    """The same of one that is out of the gripper's reach."""
+    """The same for a cable out of the gripper's reach."""
     return cable_ahead.failure(e) if e.is_far.any() else None
 
 
 def _cable_ahead_and_too_far(e: TrialEvidence) -> Failure | None:
-    """The same of one that is farther from the gripper than its length."""
+    """The same for a cable farther from the gripper than its length."""
     return None if _beyond(e, e.reach.limits_m) is None else cable_ahead.failure(e)
 
 
@@ -233,11 +233,11 @@ def out_of_reach(e: TrialEvidence) -> Failure | None:
 )
 def exchanged(e: TrialEvidence) -> Failure | None:
     """Does every marker stay in its own columns?"""
-    found = exchanges(e.trial.markers.xy_m)
-    if not found:
+    pairs = exchanges(e.trial.markers.xy_m)
+    if not pairs:
         return None
-    first = found[0]
-    more = f", as do {len(found) - 1} more pairs in the file" if len(found) > 1 else ""
+    first = pairs[0]
+    more = f", as do {len(pairs) - 1} more pairs in the file" if len(pairs) > 1 else ""
     values = {
         "first": e.source.marker(first.first),
         "second": e.source.marker(first.second),
@@ -259,12 +259,12 @@ def both_ends_held(e: TrialEvidence) -> Failure | None:
     """Is the tip free?"""
     trial, length_m = e.trial, e.cable.length_m
     t_s, xy_m = trial.markers.t_s, trial.markers.xy_m
-    seen = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
-    if not seen.any():
+    visible = np.array([np.isfinite(_spread_m(xy_m[:, m])) for m in range(xy_m.shape[1])])
+    if not visible.any():
         return None
-    tip = e.tip(seen)
-    axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is not seen say nothing
-    # a free tip follows within a quarter of a swing: a frame shows what moves before that
+    tip = e.tip(visible)
+    axes = np.isfinite(xy_m[:, tip]).any(axis=0)  # those in which the tip is visible
+    # a free tip follows within a quarter of a swing: motions before that must show in a frame
     follows_s = 0.25 * SLOWEST * np.sqrt(length_m / GRAVITY_M_PER_S2)
     shown_s = t_s[np.isfinite(xy_m[:, tip][:, axes]).all(axis=1)] - follows_s
     shown_s = shown_s[shown_s >= t_s[0]]
@@ -278,13 +278,13 @@ def both_ends_held(e: TrialEvidence) -> Failure | None:
         return None
     if tip_m > HELD_STAYS * most_m:
         return None
-    what = "the gripper moves" if hand_m >= inner_m else "the cable between moves"
-    values = {"what": what, "tip_mm": tip_m * 1e3, "most_mm": most_m * 1e3}
+    mover = "the gripper moves" if hand_m >= inner_m else "the cable between moves"
+    values = {"what": mover, "tip_mm": tip_m * 1e3, "most_mm": most_m * 1e3}
     return Failure({"arc_m": e.arc_length_m[tip], **values}, 0)
 
 
 def _spread_m(xy_m: FloatArray) -> float:
-    """How far apart the middle 90 % of a point's places are; nan where too few rows show it."""
+    """Span of the middle 90 % of a point's places; nan where too few rows show it."""
     good = xy_m[:, np.isfinite(xy_m).any(axis=0)]
     if not good.size or np.isfinite(good).all(axis=1).sum() < HELD_ROWS:
         return float("nan")
@@ -302,13 +302,13 @@ def frozen_marker(e: TrialEvidence) -> Failure | None:
     """Does no marker stay exactly in place while the cable moves?"""
     markers, length_m = e.trial.markers, e.cable.length_m
     outer = np.flatnonzero(e.arc_length_m >= OUTER_SHARE * length_m)
-    found = frozen(markers.xy_m, e.reach.delayed_m, outer, MOVES_SHARE * length_m)
-    if found is None:
+    stays = frozen(markers.xy_m, e.reach.delayed_m, outer, MOVES_SHARE * length_m)
+    if stays is None:
         return None
-    x_m, y_m = markers.xy_m[found.first, found.marker]
-    values = {"arc_m": e.arc_length_m[found.marker], "x_m": x_m, "y_m": y_m}
-    values |= {"last": markers.line(found.last), "moved_mm": found.moved_m * 1e3}
-    return Failure(values, found.first)
+    x_m, y_m = markers.xy_m[stays.first, stays.marker]
+    values = {"arc_m": e.arc_length_m[stays.marker], "x_m": x_m, "y_m": y_m}
+    values |= {"last": markers.line(stays.last), "moved_mm": stays.moved_m * 1e3}
+    return Failure(values, stays.first)
 
 
 _BEYOND_ARC = "median distance of a marker from the gripper beyond its arc length, free lengths"
@@ -324,9 +324,9 @@ _AWAY = "the marker at arc length {arc_m:g} m is {away_m:.3g} m from the grippin
 def reversed_arcs(e: TrialEvidence) -> Failure | None:
     """Are arc lengths counted from the gripping point?"""
     distance_m, scale = e.reach.usual_m, e.reach.scale
-    seen = np.isfinite(distance_m)
-    distance_m, arcs = distance_m[seen], e.arc_length_m[seen]
-    # What only an effect shows farther is still farther the farther along the cable it is.
+    detected = np.isfinite(distance_m)
+    distance_m, arcs = distance_m[detected], e.arc_length_m[detected]
+    # With an effect, the apparent distance still grows along the cable.
     if len(arcs) < 2 or distance_m[np.argmax(arcs)] >= distance_m[np.argmin(arcs)]:
         return None
     # A scale moves the clamp, too, about a centre half a free length away.
@@ -364,11 +364,11 @@ def beyond_arc(e: TrialEvidence) -> Failure | None:
 
 
 def _beyond(e: TrialEvidence, limits_m: FloatArray) -> Failure | None:
-    """The marker that is farthest beyond its limit (markers,), if one is."""
-    found = e.reach.beyond(limits_m)
-    if found is None:
+    """The marker that exceeds its limit (markers,) most, if any."""
+    farthest = e.reach.beyond(limits_m)
+    if farthest is None:
         return None
-    marker, row = found
+    marker, row = farthest
     away_m = np.nanmedian(np.linalg.norm(e.from_grip_m[:, marker], axis=1))
     return Failure({"arc_m": e.arc_length_m[marker], "away_m": away_m}, row)
 
@@ -385,15 +385,15 @@ def wrong_side(e: TrialEvidence) -> Failure | None:
     angle_rad = e.trial.grip.angle_rad[0]
     cosine = float(np.cos(angle_rad))
     at_rest = e.from_grip_m[e.at_rest]
-    seen = np.isfinite(at_rest[:, :, 0]).any(axis=0)
-    seen &= np.isfinite(e.trial.markers.xy_m).all(axis=2).any(axis=0)
-    if not seen.any() or abs(cosine) < np.cos(SIDEWAYS_RAD):
+    detected = np.isfinite(at_rest[:, :, 0]).any(axis=0)
+    detected &= np.isfinite(e.trial.markers.xy_m).all(axis=2).any(axis=0)
+    if not detected.any() or abs(cosine) < np.cos(SIDEWAYS_RAD):
         return None
-    arcs, beyond_m = e.arc_length_m[seen], np.nanmedian(at_rest[:, seen, 0], axis=0)
+    arcs, beyond_m = e.arc_length_m[detected], np.nanmedian(at_rest[:, detected, 0], axis=0)
     beyond_m = beyond_m * np.sign(cosine)
     worst = int(np.argmax(beyond_m))
-    # An offset of the picture moves all markers; of a cable on the right side the tip is still the
-    # farthest on that side.
+    # An offset of the picture moves all markers; the tip of a correct cable is still the farthest
+    # on its side.
     goes = len(arcs) == 1 or beyond_m[np.argmax(arcs)] > beyond_m[np.argmin(arcs)]
     if beyond_m[worst] <= e.slack_m or not goes:
         return None
@@ -411,8 +411,8 @@ def wrong_side(e: TrialEvidence) -> Failure | None:
 )
 def frame_rate(e: TrialEvidence) -> Failure | None:
     """Are there enough frames to show the slowest swing?"""
-    seen = np.isfinite(e.trial.markers.xy_m).all(axis=2).any()
-    if e.weight < WEAK_M_PER_S2 or not seen:
+    detected = np.isfinite(e.trial.markers.xy_m).all(axis=2).any()
+    if e.weight < WEAK_M_PER_S2 or not detected:
         return None
     slowest_s = SLOWEST * np.sqrt(e.cable.length_m / e.weight)
     step_s = float(np.median(np.diff(e.trial.markers.t_s)))
@@ -436,10 +436,10 @@ def rises(e: TrialEvidence) -> Failure | None:
     along = -e.arc_length_m[:, None] * np.array([np.cos(angle), np.sin(angle)])
     down = np.array(e.gravity_m_per_s2) / e.weight
     sag_m = (e.from_grip_m[e.at_rest] - along) @ down
-    seen = np.isfinite(sag_m).any(axis=0)
-    if not seen.any():
+    detected = np.isfinite(sag_m).any(axis=0)
+    if not detected.any():
         return None
-    lift_m = -float(np.nanmedian(sag_m[:, e.tip(seen)]))
+    lift_m = -float(np.nanmedian(sag_m[:, e.tip(detected)]))
     return None if lift_m <= e.slack_m else Failure({"lift_mm": lift_m * 1e3})
 
 
@@ -462,7 +462,7 @@ def moves_first(e: TrialEvidence) -> Failure | None:
     return Failure({"reach_mm": motion.reach_m * 1e3, "meant": meant})
 
 
-#: Of every trial; only the first that fails is reported.
+#: Checks of every trial; only the first failure is reported.
 TRIAL_REFUSALS = (
     hand_unit,
     cable_waits,
@@ -483,7 +483,7 @@ TRIAL_NOTES = (beyond_arc, rises, cable_ahead, moves_first)
 def trial_problems(
     trial: Trial, cable: Cable, arc_length_m: FloatArray, gravity_m_per_s2: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
-    """Problems for which a trial is refused, and notes of what is unusual but possible.
+    """Problems for which a trial is refused, and notes on unusual but possible data.
 
     arc_length_m  (markers,) from the gripping point, as in `trial.markers`
     """

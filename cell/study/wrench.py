@@ -25,11 +25,11 @@ from cell.study.table import check_times, read_table, table_text
 COLUMNS = ("force_x_n", "force_y_n", "moment_nm")
 FILE = "wrench.csv"
 
-#: Beyond these a number is taken for a mistaken unit: no gripper that moves a cable bears them.
+#: Limits beyond which a unit is assumed to be wrong: no gripper of a cable bears such loads.
 LIMITS = {"force_x_n": 1e3, "force_y_n": 1e3, "moment_nm": 1e2}
 UNITS = {"force_x_n": "N", "force_y_n": "N", "moment_nm": "N·m"}
 
-#: Farther from the gripping point no tool has its centre of mass, m.
+#: Largest distance of a tool's centre of mass from the gripping point, m.
 _Near = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 
@@ -75,8 +75,8 @@ def sensor_entry(sensor: WrenchSensor) -> Mapping[str, Any]:
 def read_wrench(path: Path, grip: Motion) -> Wrench:
     """Read t_s and any of `COLUMNS`; the clock is that of the gripper's log.
 
-    raises  InputError: a column is unknown or none is there, a value or time cannot be; with line,
-            column, value, limit and remedy
+    raises  InputError: a column is unknown or all are missing, a value or time is impossible; with
+            line, column, value, limit and remedy
     """
     table = read_table(path, ("t_s",), COLUMNS)
     there = table.columns[1:]
@@ -99,9 +99,9 @@ def read_wrench(path: Path, grip: Motion) -> Wrench:
             f"{grip.t_s[-1]:g} s, without overlap; put both on one clock, in seconds",
         )
     for name, series in zip(there, table.values[:, 1:].T, strict=True):
-        seen = series[np.isfinite(series)]
-        if not seen.size or np.ptp(seen) == 0.0:
-            shown = f"is {seen[0]:g} in all of {seen.size} rows" if seen.size else "has no value"
+        valid = series[np.isfinite(series)]
+        if not valid.size or np.ptp(valid) == 0.0:
+            shown = f"is {valid[0]:g} in all of {valid.size} rows" if valid.size else "has no value"
             message = f"{shown}, limit: one change; a sensor shows its noise: leave the column out"
             raise table.error(2, name, message)
     values = np.full((len(t_s), len(COLUMNS)), np.nan)
@@ -110,19 +110,19 @@ def read_wrench(path: Path, grip: Motion) -> Wrench:
 
 
 def wrench_text(wrench: Wrench) -> str:
-    """The file of a wrench, without columns in which nothing was measured."""
+    """The file of a wrench, without unmeasured columns."""
     there = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
     names = ("t_s", *(COLUMNS[i] for i in there))
     return table_text(names, np.column_stack([wrench.t_s, wrench.values[:, there]]))
 
 
-#: Where this share of what twice the integral of a force shows is the motion's, it is judged …
+#: Least share of the motion in the twice integrated force, for a force to be judged …
 _SHOWN = 0.8
-#: … by the factor that it has over what gripper, markers and masses ask for: noted beyond these, …
+#: … by its ratio to the force from gripper, markers and masses: noted beyond these, …
 FORCE_NOTED = (0.5, 2.0)
 #: … and refused beyond these.
 FORCE_REFUSED = (-1.0 / 3.0, 30.0)
-#: The cable's end is at most so many times as far from the gripper as its outermost marker.
+#: Largest ratio of the arc lengths of the cable's end and its outermost marker.
 _FARTHER = 4.0
 
 
@@ -142,9 +142,9 @@ def force_factor(
 ) -> ForceFactor | None:
     """The force factor of a trial; None if the motion is too small to determine it.
 
-    Twice integrated it is mass times the way of the centre of mass, beside a parabola by weight and
-    tare.  That centre is roughly in the middle between the gripper and where a straight cable
-    through the outermost marker would end.
+    Twice integrated it is mass times the way of the centre of mass, plus a parabola by weight and
+    tare.  That centre is roughly in the middle between the gripper and the end of a straight cable
+    through the outermost marker.
 
     outermost_m  arc length of that marker
     """
@@ -154,11 +154,11 @@ def force_factor(
     judged = []
     for axis, column in enumerate(("force_x_n", "force_y_n")):
         force = trial.wrench.values[:, axis]
-        seen = np.isfinite(force) & np.isfinite(way[:, axis])
-        if np.count_nonzero(seen) > 8 and np.ptp(way[seen, axis]) > 0.0:
-            factor, shown = _factor(t_s[seen], force[seen], way[seen, axis])
+        measured = np.isfinite(force) & np.isfinite(way[:, axis])
+        if np.count_nonzero(measured) > 8 and np.ptp(way[measured, axis]) > 0.0:
+            factor, shown = _factor(t_s[measured], force[measured], way[measured, axis])
             if shown > _SHOWN:
-                judged.append((float(np.ptp(way[seen, axis])), column, factor))
+                judged.append((float(np.ptp(way[measured, axis])), column, factor))
     return ForceFactor(*max(judged)[1:]) if judged else None
 
 
@@ -236,22 +236,22 @@ def force_problems(
 
 
 def _factor(t_s: FloatArray, force: FloatArray, way: FloatArray) -> tuple[float, float]:
-    """Of the force over what the way (n,), kg·m, asks for, and the share of it that is so."""
+    """Ratio of the force to that of the way (n,), kg·m, and its explained share."""
     steps = np.diff(t_s)
     force = force - force.mean()
     impulse = np.concatenate([[0.0], np.cumsum(0.5 * steps * (force[1:] + force[:-1]))])
     twice = np.concatenate([[0.0], np.cumsum(0.5 * steps * (impulse[1:] + impulse[:-1]))])
     parabola = np.linalg.qr(np.vander((t_s - t_s[0]) / (t_s[-1] - t_s[0]), 3))[0]
-    left = [v - parabola @ (parabola.T @ v) for v in (twice, way)]
-    factor = float(left[0] @ left[1]) / max(float(left[1] @ left[1]), 1e-300)
-    power = max(float(left[0] @ left[0]), 1e-300)
-    return factor, factor**2 * float(left[1] @ left[1]) / power
+    residuals = [v - parabola @ (parabola.T @ v) for v in (twice, way)]
+    factor = float(residuals[0] @ residuals[1]) / max(float(residuals[1] @ residuals[1]), 1e-300)
+    power = max(float(residuals[0] @ residuals[0]), 1e-300)
+    return factor, factor**2 * float(residuals[1] @ residuals[1]) / power
 
 
 def _mass_moment(
     trial: Trial, cable: Cable, outermost_m: float, sensor: WrenchSensor
 ) -> FloatArray:
-    """(T, 2) mass times place of all that is moved, at the times of the wrench, kg·m."""
+    """(T, 2) first moment of all moving masses, at the times of the wrench, kg·m."""
     assert trial.wrench is not None
     t_s, markers = trial.wrench.t_s, trial.markers
     hand = trial.gripper_m(t_s)
@@ -271,7 +271,7 @@ class WrenchFacts:
     rate_hz  rows a second, by the usual step
     still    rows before anything moves
     noise    (3,) of one row at rest, by second differences: slow errors do not show in it
-    varies   (3,) largest less smallest; nan = not measured
+    varies   (3,) range of the values; nan = not measured
     """
 
     trial: str
@@ -281,7 +281,7 @@ class WrenchFacts:
     varies: FloatArray
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, without columns that were not measured; None for what is not known."""
+        """Plain data, without unmeasured columns; None for unknown values."""
         columns = {
             name: {"noise": plain(self.noise[i]), "varies": plain(self.varies[i])}
             for i, name in enumerate(COLUMNS)
@@ -299,8 +299,8 @@ def wrench_facts(trial: Trial) -> WrenchFacts | None:
     until_s = min(moves_from_s(trial.grip, ROUGHLY_STILL), let_go_s)
     still = int(np.searchsorted(wrench.t_s, until_s))
     varies = np.full(len(COLUMNS), np.nan)
-    seen = np.isfinite(wrench.values).any(axis=0)
-    varies[seen] = np.nanmax(wrench.values[:, seen], 0) - np.nanmin(wrench.values[:, seen], 0)
+    valid = np.isfinite(wrench.values).any(axis=0)
+    varies[valid] = np.nanmax(wrench.values[:, valid], 0) - np.nanmin(wrench.values[:, valid], 0)
     noise = np.array([noise_m(series) for series in wrench.values[:still].T])
     rate_hz = 1.0 / float(np.median(np.diff(wrench.t_s)))
     return WrenchFacts(trial.name, rate_hz, still, noise, varies)

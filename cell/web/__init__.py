@@ -1,1 +1,1 @@
-"""Pages beside the cell, for operators and engineers: a client of the cell, in its own process."""
+"""Pages for operators and engineers: a client of the cell, in its own process."""

@@ -26,7 +26,7 @@ class Audit:
     def write(self, by: str, action: str, done: bool, note: str = "") -> None:
         """Append an action.  Raises OSError: it cannot be written, or not all of it.
 
-        by      whoever did it, or tried to
+        by      user who did it, or tried to
         done    whether it was allowed and accepted
         """
         at = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -44,7 +44,7 @@ class Audit:
 
 
 def _torn(descriptor: int) -> bool:
-    """Whether the last line has no end, as after a power cut: the next would be lost with it."""
+    """Whether the last line is incomplete, as after a power cut: the next would be lost with it."""
     if os.fstat(descriptor).st_size == 0:
         return False
     os.lseek(descriptor, -1, os.SEEK_END)

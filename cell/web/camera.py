@@ -1,4 +1,4 @@
-"""Pictures for the pages: the camera's newest, read while somebody looks, and frames of films."""
+"""Pictures for the pages: the camera's newest, read while a page requests it, and film frames."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from drivers.threads import GuardedThread
 
 _LOG = logging.getLogger(__name__)
 
-#: A picture is read at most so often, s.
+#: Least interval between two pictures, s.
 EVERY_S = 0.5
-#: When no page has asked for so long, s, nothing is read.
+#: Time without requests of pages after which reading stops, s.
 _ASKED_S = 3.0
 _WIDTH_PX = 640
 
@@ -35,7 +35,7 @@ class LivePicture:
     """A picture of the cycle under way.
 
     number   grows with every picture
-    taken_s  when, Unix time
+    taken_s  Unix time
     """
 
     number: int
@@ -44,9 +44,9 @@ class LivePicture:
 
 
 class LiveCamera:
-    """Holds the newest picture only: a slow browser misses the ones between.
+    """Holds the newest picture only: a slow browser misses earlier ones.
 
-    unrecorded  the cycle under way is not recorded
+    unrecorded  the current cycle is not recorded
     """
 
     def __init__(self, runs: Path, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -55,21 +55,21 @@ class LiveCamera:
         self._begins = False
         self._runs, self._now_s = runs, now_s
         self._growing: GrowingRecording | None = None
-        self._asked_s = -_ASKED_S
+        self._requested_s = -_ASKED_S
         self._lock = threading.Lock()
         self._reading = False
 
     def ask(self) -> LivePicture | None:
-        """The newest picture that is known; a newer one is read meanwhile, in a thread."""
+        """The newest picture in memory; a newer one is then read in a thread."""
         with self._lock:
-            self._asked_s = self._now_s()
+            self._requested_s = self._now_s()
             if not self._reading:
                 self._reading = True
                 GuardedThread("camera", self._read, self._died).start()
         return self.newest
 
     def read(self) -> None:
-        """Look for a newer picture now; without a cycle under way there is none any more."""
+        """Read a newer picture now; without a current cycle there is none any more."""
         path = recording_under_way(self._runs)
         without = path is None and is_unrecorded(self._runs)
         self.unrecorded, self._begins = without and self._begins, without  # its file comes soon
@@ -79,15 +79,15 @@ class LiveCamera:
         if self._growing is None or self._growing.path != path:
             self._growing, self.newest = GrowingRecording(path), None
         try:
-            found, written_s = self._growing.newest(), path.stat().st_mtime
+            frame, written_s = self._growing.newest(), path.stat().st_mtime
         except OSError:  # the cycle has just ended
             return
-        if found is not None:
+        if frame is not None:
             number = self.newest.number + 1 if self.newest else time.time_ns()
-            self.newest = LivePicture(number, written_s - found[0], small_jpeg(found[1], _WIDTH_PX))
+            self.newest = LivePicture(number, written_s - frame[0], small_jpeg(frame[1], _WIDTH_PX))
 
     def _died(self, error: BaseException) -> None:
-        """No picture rather than an old one; the next page that asks has it read again."""
+        """Show no picture rather than an old one; the next request starts the thread again."""
         with self._lock:
             self._reading, self.newest = False, None
 
@@ -96,22 +96,22 @@ class LiveCamera:
             begun_s = self._now_s()
             try:
                 self.read()
-            except Exception:  # a picture less, whatever is wrong with the file
+            except Exception:  # any error of the file: one picture is missing
                 _LOG.exception("no picture of the cycle under way")
             time.sleep(max(0.0, EVERY_S - (self._now_s() - begun_s)))
             with self._lock:
-                if self._now_s() - self._asked_s > _ASKED_S:
+                if self._now_s() - self._requested_s > _ASKED_S:
                     self._reading = False
                     return
 
 
-#: Frames are served at most so wide, px.
+#: Largest width of a served frame, px.
 WIDTH_PX = 960
-#: So much is kept in memory, bytes.
+#: Size of the cache, bytes.
 MOST_BYTES = 16 << 20
-#: Indexes of so many films are kept.
+#: Number of cached indexes of films.
 _FILMS = 8
-#: So many frames are read at a time, whatever browsers ask for.
+#: Number of frames that are read at the same time, however many are requested.
 _AT_ONCE = 2
 
 _FrameKey = tuple[Path, int, int]
@@ -132,7 +132,7 @@ class Films:
         return self._film(folder)[1]
 
     def frame(self, folder: Path, number: int) -> bytes:
-        """A frame as JPEG, with the cable as it was seen.
+        """A frame as JPEG, with the detected cable.
 
         raises  OSError, IndexError: there is none; InputError: it cannot be read
         """
@@ -140,9 +140,9 @@ class Films:
         if not 0 <= number < len(film.stamps_ns):
             raise IndexError(number)
         with self._lock:
-            if (found := self._frames.get((known, number))) is not None:
+            if (cached := self._frames.get((known, number))) is not None:
                 self._frames.move_to_end((known, number))
-                return found
+                return cached
         with self._busy:
             frame = read_frame(film, number, self._newest.get(known))
             made = frame.jpeg(WIDTH_PX)
@@ -159,12 +159,12 @@ class Films:
 
     def _film(self, folder: Path) -> tuple[_FrameKey, RecordedFilm]:
         path = folder / form.FILE
-        found = path.stat()
-        known = (path, found.st_mtime_ns, found.st_size)
+        status = path.stat()
+        known = (path, status.st_mtime_ns, status.st_size)
         return known, _known_film(*known)
 
 
 @lru_cache(_FILMS)
 def _known_film(path: Path, stamp_ns: int, size_bytes: int) -> RecordedFilm:
-    """Frames of a recording as long as it is not written to."""
+    """Frames of a recording, cached until it changes."""
     return read_film(path)

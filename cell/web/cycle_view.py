@@ -30,7 +30,7 @@ from cell.records.recording.reading import Recording, read_recording
 from cell.records.result import Correction
 from cell.web.theme import AMBER, BLUE, GREEN
 
-#: Lines of the tip's path, those on top last.
+#: Colours of the tip's lines; later ones are drawn on top.
 _COLOURS = {"predicted": "#d97706", "seen": "#0b7fab", "destination": "#b3261e"}
 
 
@@ -39,11 +39,11 @@ class CycleView:
     """A cycle at a glance; texts are English.
 
     spent     states and steps: name → seconds, in their order
-    flight    the tip as it was executed
-    decision  table of the offsets that were simulated, and the row that was executed
+    flight    of the tip in the executed motion
+    decision  table of the simulated offsets, and the executed row
     corrections  in flight
     no_film   why there is no film, "" = there is one
-    gaps      number of frames that are missing in it, by cause
+    gaps      number of missing frames, by cause
     pictures  names of files
     """
 
@@ -67,7 +67,7 @@ def cycle_view(folder: Path) -> CycleView:
     """Summary of a cycle.  Raises InputError: the folder cannot be read."""
     record = read_record(folder)
     result = record.result
-    says, good = how_it_ended(record)
+    summary_text, good = how_it_ended(record)
     no_film = why_no_film(folder)
     recording: Recording | None = None
     gaps: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ def cycle_view(folder: Path) -> CycleView:
         cycle=record.cycle,
         started=None if cycle_of(folder) is None else started_of(folder, record.state),
         part=(result.part if result else None) or "",
-        summary=says,
+        summary=summary_text,
         good=good,
         numbers=None if result is None else numbers_table(result),
         parameters=None if record.model is None else parameters_table(record.model),
@@ -100,7 +100,7 @@ def cycle_view(folder: Path) -> CycleView:
 
 
 def tip_chart(flight: TipFlight, names: Mapping[str, str]) -> dict[str, Any]:
-    """The tip's path as an ECharts option; empty = nothing is known of it.
+    """The tip's path as an ECharts option; empty = it is not known.
 
     names  of the lines, in the legend
     """
@@ -126,7 +126,7 @@ def tip_chart(flight: TipFlight, names: Mapping[str, str]) -> dict[str, Any]:
 def error_chart(
     flight: TipFlight, corrections: Sequence[Correction], names: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Seen minus predicted tip over time as an ECharts option, with the limits of the forecast.
+    """Measured minus predicted tip over time as an ECharts option, with the forecast's limits.
 
     The time in the destination is shaded; a line marks each correction.  Empty = not known.
 
@@ -179,16 +179,16 @@ def decision_chart(
     usual = [r for r in usual if r.get("pace", 1.0) == 1.0] or rows
     probability = _line(names["probability"], points("probability", 100.0, usual), BLUE)
     margin = _line(names["margin"], points("margin_m", 1e3, usual), "#6b7684")
-    taken = points("probability", 100.0, [] if chosen is None else [chosen])
+    executed = points("probability", 100.0, [] if chosen is None else [chosen])
     series = [
         {**probability, "symbolSize": 6},
         {**margin, "yAxisIndex": 1, "lineStyle": {"type": "dashed", "width": 1}},
-        {**_line(names["chosen"], taken, GREEN), "type": "scatter", "symbolSize": 16},
+        {**_line(names["chosen"], executed, GREEN), "type": "scatter", "symbolSize": 16},
     ]
     option = _chart(names["offset"], names["probability"], series)
-    left = {**option["yAxis"], "min": 0, "max": 100, "scale": False}
+    probability_axis = {**option["yAxis"], "min": 0, "max": 100, "scale": False}
     right = {**option["yAxis"], "name": names["margin"], "splitLine": {"show": False}}
-    return {**option, "yAxis": [left, right], "grid": {**option["grid"], "right": 60}}
+    return {**option, "yAxis": [probability_axis, right], "grid": {**option["grid"], "right": 60}}
 
 
 def _pairs(x: Sequence[float], y: Sequence[float]) -> list[list[float]]:
@@ -221,7 +221,7 @@ def _chart(x: str, y: str, series: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def cycle_folder(runs: Path, name: str) -> Path | None:
-    """Folder of a cycle in `runs`; None = the name is no cycle's, or leads elsewhere."""
+    """Folder of a cycle in `runs`; None = the name is not that of a cycle in `runs`."""
     folder = runs / name
     if folder.name != name or cycle_of(folder) is None:
         return None

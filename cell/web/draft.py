@@ -16,14 +16,14 @@ from cell.settings.loading import settings_of
 from cell.web.theme import N_
 from cell.web.wording import Translate
 
-#: Words of choices that are no words of the file.
+#: Labels of choices that are not values in the file.
 _WORDS = {"used": N_("used"), "not used": N_("not used")}
 
 
 class Draft:
     """Changes of one settings file, not written yet.
 
-    base  the file's text as it was read
+    base  text of the file when it was read
     """
 
     def __init__(self, config: Path, base: str) -> None:
@@ -33,17 +33,17 @@ class Draft:
 
     def data(self) -> Mapping[str, Any]:
         """The changed file as plain data.  Raises InputError: the file is no YAML."""
-        found = self._document(self.text).data
-        return found if isinstance(found, Mapping) else {}
+        data = self._document(self.text).data
+        return data if isinstance(data, Mapping) else {}
 
     def entries(self) -> tuple[SettingsEntry, ...]:
         """All entries of the changed file.  Raises InputError, as above."""
         return entries(self.data())
 
     def enter(self, entry: SettingsEntry, typed: str) -> None:
-        """What a person has typed or chosen; nothing = the default.
+        """Set an entry to a typed or chosen value; empty = the default.
 
-        raises  InputError: the entry cannot be changed by itself, as the file is written
+        raises  InputError: the entry cannot be changed alone in this file
         """
         self.unreadable.pop(entry.key, None)
         try:
@@ -59,39 +59,39 @@ class Draft:
             self.change(change_for(self.data(), entry.key, value))
 
     def change(self, changes: Mapping[Names, Any]) -> None:
-        """Take up changes.  Raises InputError: an entry cannot be changed by itself."""
+        """Add changes.  Raises InputError: an entry cannot be changed alone."""
         keys = tuple(changes)
-        # what was entered in a section that is another now has no place any more
-        kept = {k: v for k, v in self.changes.items() if not any(k[: len(c)] == c for c in keys)}
+        # drop earlier changes within sections that are replaced
+        old = {k: v for k, v in self.changes.items() if not any(k[: len(c)] == c for c in keys)}
         new = {k: v for k, v in changes.items() if v != _in(self._document(self.base).data, k)}
-        if len(kept) < len(self.changes):
-            self.text = edited(self.config, self.base, {**kept, **new})
+        if len(old) < len(self.changes):
+            self.text = edited(self.config, self.base, {**old, **new})
         else:
             self.text = edited(self.config, self.text, new)
-        self.changes = {**kept, **new}
+        self.changes = {**old, **new}
 
     def problems(self) -> tuple[tuple[str, str], ...]:
-        """Dotted key, "" = the file, and what `cell check` says of it; () = it is right."""
-        found = [(dotted(k), said) for k, said in self.unreadable.items()]
+        """Problems of `cell check`: dotted key, "" = the file, and message; () = none."""
+        problems = [(dotted(k), message) for k, message in self.unreadable.items()]
         try:
             settings_of(self._document(self.text))
         except InputError as error:
-            found += [(p.key, p.message) for p in error.problems]
-        return tuple(found)
+            problems += [(p.key, p.message) for p in error.problems]
+        return tuple(problems)
 
     def oddities(self) -> tuple[str, ...]:
-        """What is possible and rarely meant.  Raises InputError: the file is wrong."""
+        """Warnings about unusual entries.  Raises InputError: the file is wrong."""
         return oddities(settings_of(self._document(self.text)))
 
     def differences(self) -> str:
-        """What would be written, as a unified diff; "" = nothing."""
+        """Changes of the file, as a unified diff; "" = none."""
         return differences(self.base, self.text, self.config.name)
 
     def on(self, base: str) -> Draft:
-        """The same changes on another text.  Raises InputError: they do not fit it."""
-        other = Draft(self.config, base)
-        other.change(self.changes)
-        return other
+        """The same changes applied to `base`.  Raises InputError: they do not fit it."""
+        rebased = Draft(self.config, base)
+        rebased.change(self.changes)
+        return rebased
 
     def summary(self) -> str:
         """The changes in one line, for the audit log."""
@@ -115,7 +115,7 @@ def differences(before: str, after: str, name: str) -> str:
 
 
 def value_of(entry: SettingsEntry, typed: str) -> Any:
-    """Plain data that a person has typed for an entry; `UNSET` = nothing.
+    """Plain data of a typed value for an entry; `UNSET` = empty.
 
     raises  ValueError: it is no value in one line of YAML
     """
@@ -127,16 +127,16 @@ def value_of(entry: SettingsEntry, typed: str) -> Any:
     if entry.form is SettingsForm.TEXT and typed != "null":
         return typed
     try:
-        found = document_of(f"value: {typed}", Path("entry")).data
+        parsed = document_of(f"value: {typed}", Path("entry")).data
     except InputError as error:
         raise ValueError(error.problems[0].message) from error
-    if not isinstance(found, Mapping) or list(found) != ["value"]:
+    if not isinstance(parsed, Mapping) or list(parsed) != ["value"]:
         raise ValueError("is no value in one line")
-    return found["value"]
+    return parsed["value"]
 
 
 def _in(data: Any, key: Names) -> Any:
-    """What the file has for an entry; `UNSET` = nothing."""
+    """Value of an entry in the file; `UNSET` = none."""
     for name in key:
         if not isinstance(data, Mapping) or name not in data:
             return UNSET

@@ -26,9 +26,9 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 COOKIE = "cell_session"
 LOGIN = "/login"
 METRICS = "/metrics"
-#: A longer body of a request is refused, bytes: files for the lab.
+#: Largest body of a request, bytes: files for the lab.
 MOST_BYTES = 64 << 20
-#: A body must come at this rate, bytes/s, after a delay, s.
+#: Least rate of a body, bytes/s, after a delay, s.
 LEAST_RATE, BODY_S = 50e3, 10.0
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -37,7 +37,7 @@ _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self'; "
     "frame-ancestors 'self'; base-uri 'self'; form-action 'self'; object-src 'none'"
 )
-#: Headers of pages that commands wrote: their scripts may do nothing with these pages.
+#: Headers of pages that commands wrote: their scripts have no access to these pages.
 SANDBOX = {
     "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
     "frame-ancestors 'self'"
@@ -49,8 +49,8 @@ _HEADERS = (
 )
 
 
-#: Browsers reach this host by TLS only for so long after each answer, s.  This holds for all of the
-#: host's services: it is short, so that it can be taken back.
+#: Time after each answer during which browsers use TLS only for this host, s.  It holds for all of
+#: the host's services, and is short so that it can be withdrawn.
 _TLS_ONLY_S = 30 * 86400
 
 
@@ -67,17 +67,17 @@ def same_origin(origin: str | None, host: str, secure: bool) -> bool:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a `Host` header names this computer: a foreign name may be led here by its DNS."""
+    """Whether a `Host` header names this computer, against DNS rebinding."""
     return urlsplit(f"//{host}").hostname in LOOPBACK
 
 
 class Guard:
-    """ASGI application around another one, which sees only what is allowed.
+    """ASGI middleware: the inner application gets only permitted requests.
 
     sessions  None = loopback without accounts
     secure    whether it is reached by TLS
-    users     accounts: without sessions nobody is let in any more once there are some
-    token     opens the metrics, and nothing else, without a login; empty = none does
+    users     accounts: once some exist, a server without sessions refuses everybody
+    token     gives access to the metrics only, without a login; empty = none does
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Guard:
         self._headers = (*_HEADERS, *(tls if secure else ()))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or hand it on with its session in `state`."""
+        """Refuse a request, or pass it on with its session in `state`."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -128,7 +128,7 @@ class Guard:
         async def sent(message: MutableMapping[str, Any]) -> None:
             nonlocal begun
             if refusal and not begun:
-                return  # what the application says of the body that broke off: the refusal follows
+                return  # the application's answer to the aborted body: the refusal follows
             begun = True
             if message["type"] == "http.response.start":
                 known = {k.lower() for k, _ in message.get("headers", ())}
@@ -159,7 +159,7 @@ class Guard:
         return self._sessions.of(None if cookie is None else cookie.value)
 
     def _ended(self, session: LoginSession | None) -> bool:
-        """Whether the session of a socket that is open has ended since: nobody is heard by it."""
+        """Whether the session of an open socket has ended: its messages are ignored."""
         if self._sessions is None:
             return self._has_accounts()
         if session is None:
@@ -167,7 +167,7 @@ class Guard:
         return self._sessions.renewed(session.key, used=False) is None
 
     def _refusal(self, scope: Scope, headers: dict[str, str], session: LoginSession | None) -> int:
-        """Status of what is refused; 0 = it is allowed."""
+        """Status code of the refusal; 0 = the request is allowed."""
         host = headers.get("host", "")
         if self._sessions is None and not is_loopback(host):
             return 421
@@ -189,7 +189,7 @@ class Guard:
         return 0
 
     def _has_accounts(self) -> bool:
-        """Whether users were added since this server began without; also if nobody can tell."""
+        """Whether users were added since this server began without; True if unknown."""
         try:
             return self._users is not None and len(self._users) > 0
         except (OSError, ValueError):
@@ -197,14 +197,14 @@ class Guard:
 
 
 class _Body:
-    """A request's body as it comes."""
+    """The body of a request while it arrives."""
 
     def __init__(self) -> None:
         self.is_complete = False
         self._bytes, self._waited_s = 0, 0.0
 
     async def receive(self, receive: Receive) -> tuple[MutableMapping[str, Any], int]:
-        """The next message, and the status of what is refused; 0 = it is allowed."""
+        """The next message, and the status code of a refusal; 0 = it is allowed."""
         started_s = time.monotonic()
         try:
             async with asyncio.timeout(BODY_S + self._bytes / LEAST_RATE - self._waited_s):
@@ -219,7 +219,7 @@ class _Body:
 
 
 def _is_of_this_user(scope: Scope) -> bool:
-    """Whether a connection is of who runs this server, or of root; where the system tells it."""
+    """Whether a connection is of this server's user, or of root; True if the system hides it."""
     client, server = scope.get("client"), scope.get("server")
     if sys.platform != "linux" or client is None or server is None:
         return True
@@ -240,21 +240,21 @@ async def _refuse(scope: Scope, send: Send, status: int) -> None:
     if status == 303:
         headers.append((b"location", LOGIN.encode()))
     await send({"type": "http.response.start", "status": status, "headers": headers})
-    said = {
+    messages = {
         **{303: b"log in", 401: b"log in", 413: b"too long"},
         408: b"too slow",
         403: b"from another site, or another user's: cell user add makes accounts",
         503: b"users were added: start cell serve again, and log in",
     }
-    await send({"type": "http.response.body", "body": said.get(status, b"not this host")})
+    await send({"type": "http.response.body", "body": messages.get(status, b"not this host")})
 
 
-#: The head of a request must have come so long after the connection or the last answer, s.
+#: Time limit for the head of a request after the connection or the last answer, s.
 HEAD_S = 10.0
 
 
 class TimedHttp(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
-    """uvicorn's protocol, which alone waits for ever for the rest of a request's head."""
+    """uvicorn's protocol with a time limit for the head of a request."""
 
     _timer: asyncio.TimerHandle | None = None
 
@@ -264,7 +264,7 @@ class TimedHttp(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
         self._start_timer()
 
     def data_received(self, data: bytes) -> None:
-        """Take data; the clock runs from the first piece of a head to its end."""
+        """Receive data; the timer runs from the first piece of a head to its end."""
         super().data_received(data)
         if self._has_request():
             self._stop_timer()
@@ -277,7 +277,7 @@ class TimedHttp(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
         super().handle_websocket_upgrade(*event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the clock."""
+        """Stop the timer."""
         self._stop_timer()
         super().connection_lost(exc)
 

@@ -17,9 +17,9 @@ from typing import Any
 
 from drivers.threads import GuardedThread, error_text
 
-#: So many lines are kept of what the process has said.
+#: Number of the process's output lines that are kept.
 _LINES = 40
-#: After a request to end it may take so long, s, then it is killed.
+#: Time limit of the process after a request to end, s; then it is killed.
 _ENDS_S = 20.0
 
 
@@ -27,8 +27,8 @@ _ENDS_S = 20.0
 class GuidedState:
     """State of a guided command: question, output, progress, exit code.
 
-    ask              what a person is to do now; "" = nothing
-    question_number  of that request, from 1; 0 = there is none
+    ask              current instruction to a person; "" = none
+    question_number  of that instruction, from 1; 0 = there is none
     output           its newest lines
     code             exit code; None = it runs
     """
@@ -44,7 +44,7 @@ class GuidedState:
 
     @property
     def runs(self) -> bool:
-        """Whether it is under way."""
+        """Whether the command is running."""
         return self.code is None
 
 
@@ -60,7 +60,7 @@ class Guided:
         self._questions = 0
 
     def start(self, title: str, command: Sequence[str]) -> str:
-        """Start a command; why it cannot be, or ""."""
+        """Start a command; reason of a refusal, or ""."""
         with self._lock:
             if self.state.runs:
                 return f"{self.state.title} is under way"
@@ -82,7 +82,7 @@ class Guided:
         return ""
 
     def answer(self, words: str, to: int) -> str:
-        """Answer the question of the number `to`; why that cannot be, or ""."""
+        """Answer the question of the number `to`; reason of a refusal, or ""."""
         with self._lock:
             process = self._process
             if (
@@ -101,7 +101,7 @@ class Guided:
         return ""
 
     def cancel(self) -> str:
-        """Have it end, and its devices with it; why that cannot be, or ""."""
+        """End the command and its devices; reason of a refusal, or ""."""
         process = self._process
         if process is None or not self.state.runs:
             return "nothing is under way"
@@ -110,7 +110,7 @@ class Guided:
         return ""
 
     def close(self) -> None:
-        """End what is under way, and wait for it."""
+        """End a running command, and wait for it."""
         if self._process is not None and self.state.runs:
             self._process.terminate()
             _killed_later(self._process)
@@ -130,8 +130,8 @@ class Guided:
                 if "ask" in message:
                     self._questions += 1
                     now = replace(now, ask=str(message["ask"]), question_number=self._questions)
-                if said := str(message.get("say", "")).strip():
-                    now = replace(now, output=(*now.output, said)[-_LINES:])
+                if text := str(message.get("say", "")).strip():
+                    now = replace(now, output=(*now.output, text)[-_LINES:])
                 if message.get("total"):
                     now = replace(now, done=int(message["done"]), total=int(message["total"]))
                 self.state = now
@@ -139,19 +139,19 @@ class Guided:
         self._ended(process, self._errors)
 
     def _unread(self, process: subprocess.Popen[str], error: BaseException) -> None:
-        """Nobody reads what it says: it ends, and stops the arm."""
+        """End the command, which stops the arm: its output cannot be read any more."""
         process.terminate()
         self._ended(process, [error_text(error)], code=-1)
 
     def _ended(
-        self, process: subprocess.Popen[str], told: Iterable[str], code: int | None = None
+        self, process: subprocess.Popen[str], lines: Iterable[str], code: int | None = None
     ) -> None:
-        """Wait for its end; `code` in place of its own, if given."""
+        """Wait for its end; `code` replaces its own exit code."""
         with suppress(OSError), process:  # closes its pipes, and waits
             pass
         code = process.wait() if code is None else code
         with self._lock:
-            last = (*self.state.output, *told)[-_LINES:]
+            last = (*self.state.output, *lines)[-_LINES:]
             self.state = replace(self.state, ask="", question_number=0, output=last, code=code)
 
     def _unheard(self, process: subprocess.Popen[str], error: BaseException) -> None:
@@ -165,9 +165,9 @@ class Guided:
 
 
 class OpenQuestion:
-    """The question shown on an open page; it can be answered from the page's second refresh on.
+    """The question on an open page; it can be answered from the page's second refresh on.
 
-    A second click that was meant for the question before it so answers none that nobody has read.
+    So a double click does not answer the next question before it was read.
     """
 
     def __init__(self, guided: Guided) -> None:
@@ -175,21 +175,21 @@ class OpenQuestion:
         self._shown = self._read = 0
 
     def refresh(self) -> bool:
-        """Take up what is asked now; whether it can be answered."""
-        asked = self._guided.state.question_number
-        self._read = asked if asked == self._shown else 0
-        self._shown = asked
+        """Show the current question; returns whether it can be answered."""
+        number = self._guided.state.question_number
+        self._read = number if number == self._shown else 0
+        self._shown = number
         return self._read != 0
 
     def answer(self, words: str) -> str:
-        """Answer what was read; why that cannot be, or ""."""
+        """Answer the displayed question; reason of a refusal, or ""."""
         return self._guided.answer(words, self._read)
 
 
 def calibrate_command(part: str, config: Path, product: str = "") -> list[str]:
-    """The command that calibrates a part, or checks it, and speaks with this program.
+    """The command that calibrates a part, or checks it, in a dialogue with this program.
 
-    product  whose grip it is; "" = the usual one's, or settings without products
+    product  product of the grip; "" = the default product, or settings without products
     """
     words = [sys.executable, "-m", "cell", "calibrate", *([part] if part else [])]
     of = ["--product", product] if product else []
@@ -197,11 +197,11 @@ def calibrate_command(part: str, config: Path, product: str = "") -> list[str]:
 
 
 def _message(line: str) -> dict[str, Any]:
-    """A line of JSON; other text is something that is said."""
+    """A line of JSON; other text is a message to a person."""
     with suppress(ValueError):
-        found = json.loads(line)
-        if isinstance(found, dict):
-            return found
+        message = json.loads(line)
+        if isinstance(message, dict):
+            return message
     return {"say": line}
 
 

@@ -1,8 +1,8 @@
 """Heartbeats of an open page: they bound the age of its data and of commands given on it.
 
-The page asks, and the server answers with a number.  The picture is not older than the newest
-question that was answered.  A command quotes the newest number that its page had: so it was not
-given before that was sent.  No clock of the browser is compared with one of the server.
+The page sends a request, and the server answers with a number.  The page's data are not older than
+its newest answered request.  A command quotes the newest number of its page, so it was given after
+that number was sent.  No clock of the browser is compared with one of the server.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from nicegui.events import GenericEventArguments
 from cell.web.theme import N_, asset
 from cell.web.wording import Translate
 
-#: A picture is shown as unknown, and nothing can be pressed, if it is older, s.
+#: Largest age of a page's data, s; older data are shown as unknown, and buttons are disabled.
 LOST_S = 1.5
-#: The page asks so often, s; again without an answer.
+#: Interval of a page's requests, s; also the time after which one is repeated.
 _EVERY_S, _AGAIN_S = 0.3, 1.0
-#: So many numbers are known; a page asks not more often than `_EVERY_S`.
+#: Number of stored heartbeats; a page sends requests at most every `_EVERY_S`.
 _KNOWN = 100
 
 
@@ -62,27 +62,27 @@ def begin(heartbeats: Heartbeats, t: Translate) -> None:
         ui.label().classes("text-xl").props("id=no-connection-since")
     ui.label().classes("no-answer-said wrong").props("role=alert id=no-answer data-test=no-answer")
 
-    def answer(asked: GenericEventArguments) -> None:
-        if isinstance(asked.args, int | float):
-            ui.run_javascript(f"cell.heard({float(asked.args)!r}, {heartbeats.send()})")
+    def answer(event: GenericEventArguments) -> None:
+        if isinstance(event.args, int | float):
+            ui.run_javascript(f"cell.heard({float(event.args)!r}, {heartbeats.send()})")
 
     ui.on("heartbeat", answer)
 
 
 def on_press(
-    heartbeats: Heartbeats, button: ui.button, what: str, act: Callable[[float], Awaitable[None]]
+    heartbeats: Heartbeats, button: ui.button, action: str, act: Callable[[float], Awaitable[None]]
 ) -> None:
     """Connect a button that may move the arm to an action that gets the age of the page.
 
-    what  in the language of the page: it is said if nothing answers
-    act   gets the time, on the monotonic clock, since when the button may have been pressed
+    action  its name in the language of the page, for the message without an answer
+    act     gets the earliest time, on the monotonic clock, of the press
     """
 
-    async def pressed(given: GenericEventArguments) -> None:
-        beat, number = given.args if isinstance(given.args, list) else (0, 0)
+    async def pressed(event: GenericEventArguments) -> None:
+        beat, number = event.args if isinstance(event.args, list) else (0, 0)
         try:
             await act(heartbeats.sent_s(beat))
         finally:
             ui.run_javascript(f"cell.done({int(number)})")
 
-    button.on("click", pressed, js_handler=f"() => cell.give(emit, {json.dumps(what)})")
+    button.on("click", pressed, js_handler=f"() => cell.give(emit, {json.dumps(action)})")

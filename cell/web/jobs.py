@@ -1,7 +1,7 @@
 """Queue of the lab's computations for the pages: commands as child processes, one at a time.
 
-A page's own process computes nothing.  A job is what a person could type: its commands are shown,
-its progress is what they print on their error stream, its results are the files they write.
+A page's own process computes nothing.  A job consists of commands that a person could type, too.
+Its progress is their output on the error stream, its results are the files they write.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from drivers.threads import GuardedThread, error_text
 
 #: The command that moves the arm.
 MOVING = "run"
-#: Jobs that may wait, and those that are remembered, the newest.
+#: Largest number of waiting jobs, and of ended jobs that are kept, the newest.
 MOST_WAITING, REMEMBERED = 5, 12
-#: Lines of a job's output that are kept, and characters of a line.
+#: Largest number of stored lines of a job's output, and of characters of a line.
 MOST_LINES, LONGEST_LINE = 400, 2000
-#: After it was cancelled a command may say what it knows for so long, s.
+#: Time for a cancelled command to print its results so far, s.
 ANSWERING_S = 35.0
-#: Progress is asked for so often, s.
+#: Interval of progress messages, s.
 _PROGRESS_S = 0.5
 _COUNTED = re.compile(r"\b(\d+) of (\d+)\b")
 
 
 class JobState(StrEnum):
-    """Where a job stands."""
+    """State of a job."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -62,11 +62,11 @@ class JobTask:
     """A task to be run as a job.
 
     title     in English, marked for the catalogues
-    subject   study or file that it is about
+    subject   its study or file
     commands  words after `cell`, of each command; they are run in this order
-    good      exit codes of a command that has done what was asked
-    log       file for what the last command prints; None = not kept
-    moves     the arm moves: it begins at once or not at all, and is never killed unasked
+    good      exit codes of success
+    log       file for the output of the last command; None = not stored
+    moves     the arm moves: it begins at once or not at all, and is only killed on request
     """
 
     title: str
@@ -84,13 +84,13 @@ class JobTask:
 
 @dataclass(frozen=True)
 class Job:
-    """A job as it stands.
+    """Present state of a job.
 
-    by        whoever asked for it
+    by        user who submitted it
     step      of its commands, from 0
-    progress  what is being done now
-    share     of the part under way; None = cannot be counted
-    output    newest lines of the error stream, progress left out
+    progress  current activity
+    share     completed share of the current part; None = cannot be counted
+    output    newest lines of the error stream, without progress
     printed   newest lines of the standard output
     errors    of the models that the command has fitted: `effects`, `rms_m`, `noise_m`
     ended_s   Unix time; None = has not
@@ -111,7 +111,7 @@ class Job:
 
 @dataclass(frozen=True)
 class CompletedCommand:
-    """A command that was run at once: its exit code, None = it took too long; what it printed."""
+    """A command that was run at once: its exit code, None = time limit exceeded; its output."""
 
     code: int | None
     printed: str
@@ -121,7 +121,7 @@ class CompletedCommand:
 def child(words: Sequence[str]) -> subprocess.Popen[str]:
     """Start a command of the cell in a process group of its own, at lower priority.
 
-    One that moves the arm does not.
+    A command that moves the arm has the normal priority.
     """
     nice = None if words[0] == MOVING else shutil.which("nice")
     before = [] if nice is None else [nice, "-n", "10"]
@@ -139,7 +139,7 @@ def child(words: Sequence[str]) -> subprocess.Popen[str]:
 
 
 def end(process: subprocess.Popen[str]) -> None:
-    """End a child and all that it has started."""
+    """End a child and its own child processes."""
     _kill_group(process)
     process.wait()
 
@@ -153,13 +153,13 @@ def run_command(words: Sequence[str], within_s: float) -> CompletedCommand:
     """Run a short command at once, not as a job; it is ended after `within_s`."""
     process = child(words)
     try:
-        printed, said = process.communicate(timeout=within_s)
+        printed, errors = process.communicate(timeout=within_s)
     except subprocess.TimeoutExpired:
         end(process)
         process.communicate()
         return CompletedCommand(None, "", "")
     most = MOST_LINES * LONGEST_LINE
-    return CompletedCommand(process.returncode, printed[:most], said[:most])
+    return CompletedCommand(process.returncode, printed[:most], errors[:most])
 
 
 #: Starts a command, given by its words, in a process group of its own.
@@ -169,10 +169,10 @@ Start = Callable[[Sequence[str]], "subprocess.Popen[str]"]
 class Jobs:
     """A queue of jobs and the thread that runs them; all pages of a server share it.
 
-    Use it as a context: its end cancels what runs.
+    Use it as a context: its end cancels the running job.
 
     start        starts a command
-    answering_s  how long it may say what it knows after it was cancelled
+    answering_s  time for a cancelled command to print its results so far
     """
 
     def __init__(self, start: Start = child, answering_s: float = ANSWERING_S) -> None:
@@ -187,7 +187,7 @@ class Jobs:
 
     @property
     def version(self) -> int:
-        """Grows whenever a job changes: what pages compare before they look."""
+        """Number that grows with every change of a job, so that pages detect changes."""
         return self._version
 
     @property
@@ -196,12 +196,12 @@ class Jobs:
         return any(j.task.moves and j.state in OPEN for j in self.listed())
 
     def listed(self) -> tuple[Job, ...]:
-        """All jobs that are remembered, the newest first."""
+        """All stored jobs, the newest first."""
         with self._changed:
             return tuple(reversed(self._jobs.values()))
 
     def submit(self, task: JobTask, by: str) -> str:
-        """Put a job in the queue; why it cannot be, or ""."""
+        """Put a job in the queue; reason of a refusal, or ""."""
         with self._changed:
             waiting = [j for j in self._jobs.values() if j.state is JobState.QUEUED]
             if self._closed:
@@ -225,7 +225,7 @@ class Jobs:
         return ""
 
     def cancel(self, number: int) -> str:
-        """Cancel a job, the second time at once; why it cannot be, or ""."""
+        """Cancel a job, the second time at once; reason of a refusal, or ""."""
         with self._changed:
             job = self._jobs.get(number)
             if job is None or job.state not in OPEN:
@@ -288,14 +288,14 @@ class Jobs:
             self._run(job.number)
 
     def _died(self, error: BaseException) -> None:
-        """What is open has failed; the next job begins a thread again."""
+        """Mark open jobs as failed; the next job starts a new thread."""
         with self._changed:
             if self._process is not None:
                 end(self._process)
             for job in self._jobs.values():
                 if job.state in OPEN:
-                    told = (*job.output, error_text(error))[-MOST_LINES:]
-                    self._put(replace(job, state=JobState.FAILED, output=told, ended_s=time.time()))
+                    last = (*job.output, error_text(error))[-MOST_LINES:]
+                    self._put(replace(job, state=JobState.FAILED, output=last, ended_s=time.time()))
             self._process = self._thread = None
 
     def _next(self) -> Job | None:
@@ -358,7 +358,7 @@ class Jobs:
         code = process.wait()
         with self._changed:
             self._process = None
-        end(process)  # what it may have left behind
+        end(process)  # remaining child processes
         return code
 
     def _add_output(self, number: int, line: str, *, progress: bool) -> None:
@@ -383,7 +383,7 @@ class Jobs:
 
 
 def _lines(stream: IO[str]) -> Iterator[str]:
-    """Lines of a stream, each cut where it is too long: one without an end fills no memory."""
+    """Lines of a stream, cut at a largest length to limit memory."""
     with stream:
         while line := stream.readline(LONGEST_LINE):
             yield line.rstrip("\n")

@@ -17,18 +17,18 @@ from cell.files.yaml_document import read_yaml
 from cell.web.jobs import OPEN, CompletedCommand, Jobs, run_command
 from cell.web.workspace import Workspace, is_name
 
-#: A check of an effect may take so long, s.  Its own watch ends a law that is too slow, and counts
-#: only time that the law was given: no law, but a computer with too much to do, takes as long.
+#: Time limit of an effect's check, s.  The check itself ends a law that is too slow, by processor
+#: time: this limit is for an overloaded computer.
 CHECK_S = 300.0
-#: A promotion, s.
+#: Time limit of a promotion, s.
 PROMOTE_S = 60.0
-#: Texts that a check has found right are remembered, so many: what was checked while it was typed
-#: need not be checked again to be kept.
+#: Number of cached texts that have passed the check: a text that was checked while it was typed is
+#: not checked again when it is saved.
 _RIGHT = 20
 #: A remedy of the command, and that of the page.
 _OF_FILES = "in a file of --candidates; read the file, and give it as --try if you trust it"
 _OF_PAGE = "here; on the cell's computer a file may have it, with --try"
-#: A longer text of an effect or a mapping is refused, characters.
+#: Largest text of an effect or a mapping, characters.
 LONGEST_TEXT = 60_000
 
 
@@ -37,7 +37,7 @@ class CheckedFile:
     """Result of checking a typed effect.
 
     good    whether it can be fitted
-    output  its complaints, one a line, each with the line that it is about
+    output  its errors, one a line, each with its line number
     law     its docstring
     """
 
@@ -63,9 +63,9 @@ class Lab:
         self.jobs.__exit__()
 
     def check_effect(self, name: str, text: str) -> CheckedFile:
-        """Check a typed effect as `cell effects --candidates` does, in a process of its own.
+        """Check a typed effect as `cell effects --candidates` does, in a separate process.
 
-        One at a time; nothing of it stays.
+        One at a time; temporary files are removed.
         """
         if refused := refused_text(name, text):
             return CheckedFile(False, (refused,))
@@ -83,12 +83,14 @@ class Lab:
         if ran.code is None:
             busy = f"the check had no answer in {CHECK_S:g} s: this computer has too much to do; "
             return CheckedFile(False, (f"{busy}check again when jobs have ended",))
-        said = ran.output.replace(f"{folder}/", "").replace(_OF_FILES, _OF_PAGE).splitlines()
-        told = tuple(line.removeprefix("note: left out: ") for line in said or ["the check failed"])
-        return CheckedFile(False, told)
+        lines = ran.output.replace(f"{folder}/", "").replace(_OF_FILES, _OF_PAGE).splitlines()
+        complaints = tuple(
+            line.removeprefix("note: left out: ") for line in lines or ["the check failed"]
+        )
+        return CheckedFile(False, complaints)
 
     def save_effect(self, name: str, text: str) -> str:
-        """Keep a typed effect that its check has found right; why it is not kept, or ""."""
+        """Save a typed effect that has passed its check; reason of a refusal, or ""."""
         checked = self.check_effect(name, text)
         if not checked.good:
             return "\n".join(checked.output)
@@ -100,7 +102,7 @@ class Lab:
         return ""
 
     def save_mapping(self, mapping: Path, text: str) -> str:
-        """Keep an edited mapping, which may name files of the workspace only; why not, or ""."""
+        """Save an edited mapping, with files of the workspace only; reason of a refusal, or ""."""
         if len(text) > LONGEST_TEXT:
             return f"the mapping has {len(text)} characters; at most {LONGEST_TEXT}"
         with TemporaryDirectory() as folder:
@@ -125,12 +127,12 @@ class Lab:
             return run_command(words, PROMOTE_S)
 
     def tidy(self) -> None:
-        """Remove what is old or too much, but what jobs are about."""
+        """Remove old files and those beyond the size limit, except files of jobs."""
         self.workspace.tidy({j.task.subject for j in self.jobs.listed() if j.state in OPEN})
 
 
 def refused_text(name: str, text: str) -> str:
-    """Why an effect of this name and text is not even checked, or ""."""
+    """Why an effect of this name and text is refused before its check, or ""."""
     if not is_name(name) or "." in name or "-" in name:
         return "the name of an effect's file has letters, digits and _ only, a letter first"
     if len(text) > LONGEST_TEXT:
@@ -139,7 +141,7 @@ def refused_text(name: str, text: str) -> str:
 
 
 def named_files(mapping: object) -> list[str]:
-    """Files that a mapping names, whatever else is wrong with it."""
+    """Files that a mapping names, even if it is wrong otherwise."""
     trials = mapping.get("trials") if isinstance(mapping, dict) else None
     entries = [t for t in trials if isinstance(t, dict)] if isinstance(trials, list) else []
     others = [name for t in entries for name in t.get("beside") or ()]

@@ -1,4 +1,4 @@
-"""Tasks that the lab's page offers, each as the commands that do it."""
+"""Tasks of the lab's page, each as its commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cell.web.workspace import Workspace
 MAPPING, STUDY, PREVIEW = "import.yaml", "study.yaml", "preview.html"
 #: Name of the model without further effects.
 BASELINE = "baseline"
-#: Tables of a simulated cable with an effect that the model lacks, and what its data sheet says.
+#: Tables of a simulated cable with an effect that the model lacks, and entries of its data sheet.
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cable_a"
 _EXAMPLE_SHEET = {
     "--free-length": 0.1,
@@ -22,7 +22,7 @@ _EXAMPLE_SHEET = {
     "--width": 0.016,
     "--thickness": 0.0001,
 }
-#: Pages that commands write for a study, by the name under which they are served.
+#: Pages that commands write for a study, by their served name.
 PAGES = ("look.html", "compare.html", "own.html", "diagnosis.html")
 _SHOWN = frozenset({0, 1})
 
@@ -37,12 +37,12 @@ class Subject:
 
     @property
     def is_there(self) -> bool:
-        """Whether there is a study, or a mapping of which one can be made."""
+        """Whether there is a study, or a mapping from which it can be made."""
         return any((self.folder / name).exists() for name in (STUDY, MAPPING))
 
     @property
     def to_import(self) -> bool:
-        """Whether there is a proposed mapping only, of which a study is to be made."""
+        """Whether there is a proposed mapping only, from which a study is to be made."""
         return not self.is_cycle and not (self.folder / STUDY).exists()
 
 
@@ -85,7 +85,7 @@ class LabTasks:
     ) -> JobTask:
         """Propose a mapping of uploaded tables.
 
-        stated  of the cable, what the files do not hold: option of `cell import` → SI units
+        stated  data of the cable that the files lack: option of `cell import` → SI units
         """
         folder = self.workspace.uploads / upload
         logs = _each("--hand", [str(folder / name) for name in gripper_logs])
@@ -114,7 +114,7 @@ class LabTasks:
         return JobTask(N_("Compare"), subject.name, (words,), log=log)
 
     def fit_own(self, subject: Subject, effect: str, shared: Sequence[str]) -> JobTask:
-        """Fit the model with an effect that was typed, and without, and compare both."""
+        """Fit the model with and without a typed effect, and compare both."""
         file = str(self.workspace.effects / f"{effect}.py")
         before = f"without_{effect}"  # which no effect is called whose model is fitted here
         commands = (
@@ -128,7 +128,7 @@ class LabTasks:
     def diagnose(
         self, subject: Subject, tried: Sequence[str], known: Sequence[str], from_line: bool
     ) -> JobTask:
-        """Find what the model lacks."""
+        """Find the effect that the model lacks."""
         out = self.workspace.results(subject.name)
         words = (
             *("diagnose", str(subject.folder), *_each("--try", tried)),
@@ -139,7 +139,7 @@ class LabTasks:
         return JobTask(N_("Diagnose"), subject.name, (words,), log=out / "diagnosis.txt")
 
     def suggest(self, subject: Subject, tried: Sequence[str], known: Sequence[str]) -> JobTask:
-        """Suggest the motion that tells most."""
+        """Suggest the most informative motion."""
         out = self.workspace.results(subject.name)
         words = (
             *("suggest", str(subject.folder), *_each("--try", tried)),
@@ -149,14 +149,14 @@ class LabTasks:
         return JobTask(N_("Suggest a motion"), subject.name, (words,), log=out / "suggest.txt")
 
     def discover(self, subject: Subject, name: str, shared: Sequence[str]) -> JobTask:
-        """Infer a law from what the model leaves, as an effect that can be edited."""
+        """Infer a law from the residual, as an effect that can be edited."""
         out = str(self.workspace.effects / f"{name}.py")
         words = ("discover", str(subject.folder), *_each("--with", shared), "-o", out)
         log = self.workspace.results(subject.name) / "discover.txt"
         return JobTask(N_("Infer a law"), subject.name, (words,), log=log)
 
     def learn(self, name: str, cycles: Sequence[Path], ledger: str, own: Sequence[str]) -> JobTask:
-        """Learn what the line's model lacks; of the ledger's cycles if none are given."""
+        """Learn what the line's model lacks, by default from the ledger's cycles."""
         out = self.workspace.candidates / f"{name}.yaml"
         which = tuple(map(str, cycles)) or ("--runs", ledger)
         words = ("learn", *which, *self._line(True), *_each("--try", own), "-o", str(out))
@@ -164,12 +164,12 @@ class LabTasks:
         return JobTask(N_("Learn"), name, (words,), _SHOWN, log)
 
     def promote(self, candidate: str) -> tuple[str, ...]:
-        """Words of the command that gives the line a candidate's model."""
+        """Words of the command that promotes a candidate's model."""
         path = self.workspace.candidates / f"{candidate}.yaml"
         return ("promote", str(path), *self._line(True))
 
     def undo(self) -> tuple[str, ...]:
-        """Words of the command that takes the last promotion back."""
+        """Words of the command that undoes the last promotion."""
         return ("promote", "--undo", *self._line(True))
 
     def replay(self, subject: Subject) -> JobTask:
@@ -178,13 +178,13 @@ class LabTasks:
         return JobTask(N_("Replay"), subject.name, (("replay", str(subject.folder)),), _SHOWN, log)
 
     def measure(self, subject: Subject, runs: Path) -> JobTask:
-        """Measure a cable with the motion suggested; the gripper moves."""
+        """Measure a cable with the suggested motion; the gripper moves."""
         motion = self.workspace.results(subject.name) / "motion.yaml"
         words = (MOVING, *self._line(True), "--motion", str(motion), "--runs", str(runs))
         return JobTask(N_("Measure"), subject.name, (words,), moves=True)
 
     def model(self, subject: Subject, name: str) -> Path:
-        """File of a model that was fitted to a study."""
+        """File of a model fitted to a study."""
         return self.workspace.results(subject.name) / "models" / f"{name}.json"
 
     def _fit(

@@ -18,7 +18,7 @@ from cell.web.wording import Translate
 Data = Mapping[str, Any]
 Option = dict[str, Any]
 
-#: A longer result is not shown, bytes: a comparison has some 30 kB a trial.
+#: Largest result that is shown, bytes: a comparison has some 30 kB a trial.
 _MOST_BYTES = 20 << 20
 #: Colours of models, in their order; readable on light and dark.
 _COLOURS = ("#8a94a3", "#0b7fab", "#e08a00", "#7a5cc0", "#2c9e4b", "#c2410c")
@@ -30,7 +30,7 @@ VERDICTS = {
     "unexplained": N_("Unexplained: something is missing, and no effect explains it."),
     "cannot_tell": N_("Cannot tell: these trials cannot decide."),
 }
-#: Views of where a model fails: their headings; x, y, factor of x, label of x.
+#: Views of a model's errors: their headings; x, y, factor of x, label of x.
 PLACES = {
     "by_time": (N_("By time"), "t_s", "rms_m", 1.0, N_("Time, s")),
     "by_arc_length": (
@@ -68,7 +68,7 @@ NOT_APPLICABLE = {
 
 
 def read_result(path: Path) -> Data | None:
-    """A result that a command wrote as JSON; None = there is none that can be shown."""
+    """A result that a command wrote as JSON; None = there is none, or it cannot be shown."""
     try:
         if path.stat().st_size > _MOST_BYTES:
             return None
@@ -79,14 +79,14 @@ def read_result(path: Path) -> Data | None:
 
 
 def error_steps(diagnosis: Data, t: Translate) -> Option:
-    """How the error falls with every effect added, as bars: fitted and held out, mm."""
+    """Error after each added effect, as bars: fitted and held out, mm."""
     steps = [(t("Baseline"), diagnosis["baseline"])]
     steps += [(f"+ {m['effect']}", m) for m in diagnosis["missing"]]
     return error_bars(steps, diagnosis["noise_m"], t)
 
 
 def model_errors(comparison: Data, t: Translate) -> Option:
-    """Errors of models that were compared, as bars."""
+    """Errors of the compared models, as bars."""
     models = [(_model_name(m), m) for m in comparison["models"]]
     return error_bars(models, comparison["noise_m"], t)
 
@@ -132,7 +132,7 @@ def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Tran
 
 
 def falling_errors(errors: Sequence[Data], t: Translate) -> Option:
-    """Errors of models in the order in which they were fitted, and the least so far, mm."""
+    """Errors of models in the order of their fits, and the running minimum, mm."""
     names = [" + ".join(e["effects"]) or t("Baseline") for e in errors]
     errors_mm = [1e3 * float(e["rms_m"]) for e in errors]
     shown = [
@@ -168,14 +168,14 @@ def falling_errors(errors: Sequence[Data], t: Translate) -> Option:
 
 
 def failing_places(comparison: Data, place: str, trial: str, t: Translate) -> Option:
-    """Where models fail in a trial: their errors over time, arc length or frequency."""
+    """Errors of models in a trial over time, arc length or frequency."""
     _, x, y, scale, label = PLACES[place]
     lines: list[Option] = []
     spectrum = place == "by_frequency"
     for number, model in enumerate(comparison["models"]):
-        found = _trial(model, trial)
-        if found is not None:
-            points = _points(found[place], x, y, scale, spectrum)
+        trial_data = _trial(model, trial)
+        if trial_data is not None:
+            points = _points(trial_data[place], x, y, scale, spectrum)
             lines.append(_line(model["name"], points, _COLOURS[number % len(_COLOURS)]))
     first = _trial(comparison["models"][0], trial) if comparison["models"] else None
     if spectrum and first is not None:
@@ -191,9 +191,9 @@ def failing_places(comparison: Data, place: str, trial: str, t: Translate) -> Op
 
 
 def trials_of(comparison: Data) -> list[str]:
-    """Names of the trials, held-out ones first: there a model fails."""
-    trials = sorted(comparison["trials"], key=lambda one: one["role"] == "fit")
-    return [str(one["name"]) for one in trials]
+    """Names of the trials, held-out ones first: there a model's errors show."""
+    trials = sorted(comparison["trials"], key=lambda model: model["role"] == "fit")
+    return [str(model["name"]) for model in trials]
 
 
 def check_rows(diagnosis: Data, t: Translate) -> list[dict[str, str]]:
@@ -233,7 +233,7 @@ def ranking_rows(diagnosis: Data) -> list[dict[str, str]]:
 
 
 def parameter_lines(diagnosis: Data) -> list[str]:
-    """Parameters of the effects found, with their 95 % intervals."""
+    """Parameters of the detected effects, with their 95 % intervals."""
     return [
         f"{m['effect']}: {_with_interval(name, p)}"
         for m in diagnosis["missing"]
@@ -250,9 +250,9 @@ def fitted_lines(model: Data, effect: str) -> list[str]:
     ]
 
 
-def _with_interval(name: str, found: Data) -> str:
-    values = [found["value"], found["low"], found["high"]]
-    (value, low, high), unit = with_prefix(values, found["unit"])
+def _with_interval(name: str, parameter: Data) -> str:
+    values = [parameter["value"], parameter["low"], parameter["high"]]
+    (value, low, high), unit = with_prefix(values, parameter["unit"])
     return f"{name} {value} ({low} … {high}) {unit}"
 
 
@@ -274,20 +274,20 @@ def candidate_table(
             continue
         rows["model"][name] = ", ".join(Path(e).stem for e in effects)
         rows["verdict"][name] = str(data.get("verdict", "–"))
-        for gate, passed, found in gates:
+        for gate, passed, result in gates:
             row = rows.setdefault(f"gate {gate}", {"gate": gate})
-            row[name] = f"{'✓' if passed else '✗'} {found}"
+            row[name] = f"{'✓' if passed else '✗'} {result}"
     return columns, list(rows.values())
 
 
 def _trial(model: Data, name: str) -> Data | None:
-    return next((one for one in model["trials"] if one["name"] == name), None)
+    return next((trial for trial in model["trials"] if trial["name"] == name), None)
 
 
-def _points(found: Data, x: str, y: str, scale: float, spectrum: bool) -> list[list[float]]:
+def _points(columns: Data, x: str, y: str, scale: float, spectrum: bool) -> list[list[float]]:
     """Points of a line; a spectrum in mm²/Hz, else mm."""
     factor = 1e6 if spectrum else 1e3
-    pairs = zip(found[x], found[y], strict=True)
+    pairs = zip(columns[x], columns[y], strict=True)
     return [
         [round(at * scale, 5), float(f"{value * factor:.4g}")]
         for at, value in pairs

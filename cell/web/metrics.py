@@ -20,7 +20,7 @@ from cell.run.machine import CellState
 from cell.web.views import ADAPTERS
 from cell.web.watching import CellWatch, WatchedState
 
-#: Figures of the last cycle, SI units: name, what it is, key of the result.
+#: Figures of the last cycle, SI units: name, description, key of the result.
 _LAST = (
     ("cell_tip_miss_meters", "Measured height of the tip above the opening's middle at entry",
      "measured_miss_m"),
@@ -46,7 +46,7 @@ class CellMetrics(Collector):
         self._registry.register(self)
 
     def collect(self) -> Iterator[Metric]:
-        """As Prometheus' registry asks for them."""
+        """Metrics for Prometheus' registry."""
         return metrics_of(self._watch.state)
 
     def exposition(self, accepted: str) -> tuple[bytes, str]:
@@ -55,15 +55,15 @@ class CellMetrics(Collector):
         return encode(self._registry), content_type
 
 
-def metrics_of(seen: WatchedState) -> Iterator[Metric]:
-    """Metrics that are known at one moment; of a cell that is away only `cell_connected`."""
-    yield GaugeMetricFamily("cell_connected", "Whether a cell runs", float(seen.connected))
-    status = seen.status
-    if status is None or not seen.connected:
+def metrics_of(state: WatchedState) -> Iterator[Metric]:
+    """Metrics at one moment; for a disconnected cell only `cell_connected`."""
+    yield GaugeMetricFamily("cell_connected", "Whether a cell runs", float(state.connected))
+    status = state.status
+    if status is None or not state.connected:
         return
     yield from _of_status(status)
     yield from _of_last(status.last or {})
-    shift = seen.figures.shift if seen.figures else None
+    shift = state.figures.shift if state.figures else None
     shares = GaugeMetricFamily("cell_shift_ratio", "Shares of ISO 22400-2", labels=["share"])
     for name in _SHIFT:
         if (share := getattr(shift, name, None)) is not None:
@@ -99,9 +99,9 @@ def _of_status(status: Status) -> Iterator[Metric]:
 
 
 def _of_last(last: Mapping[str, Any]) -> Iterator[Metric]:
-    for name, what, key in _LAST:
+    for name, text, key in _LAST:
         if (value := last.get(key)) is not None:
-            yield GaugeMetricFamily(name, f"{what}; last cycle", value)
+            yield GaugeMetricFamily(name, f"{text}; last cycle", value)
     measured, predicted = last.get("measured_miss_m"), last.get("predicted_miss_m")
     if measured is not None and predicted is not None:
         yield GaugeMetricFamily(

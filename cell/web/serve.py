@@ -49,7 +49,7 @@ class Page:
     """A page of the menu.
 
     title  in English, marked for the catalogues
-    role   the least that may open it
+    role   least role that may open it
     build  fills the page
     """
 
@@ -74,7 +74,7 @@ _LOG = logging.getLogger(__name__)
 _TITLE = "Cable cell"
 _THEMES: dict[str, bool | None] = {"auto": None, "dark": True, "light": False}
 _YEAR_S = 365 * 86400
-#: A browser keeps a frame of a film so long, s.
+#: Time for which a browser caches a frame of a film, s.
 _FRAME_S = 600
 
 
@@ -88,14 +88,14 @@ def serve(
     """Serve the pages until Ctrl-C or SIGTERM.
 
     tls     certificate and its key; None = without, on loopback only
-    token   of the metrics; empty = they need a login as all else
+    token   of the metrics; empty = they need a login, too
     raises  OSError: the address is taken
     """
     pages = application(room, users, tls is not None)
     app = Guard(pages, room.sessions, tls is not None, users, token)
     files = () if tls is None else zip(("ssl_certfile", "ssl_keyfile"), map(str, tls), strict=True)
     options: dict[str, Any] = dict(files)
-    # uvicorn gives the signal again once it has closed: what is open here must still be closed
+    # uvicorn raises the signal again after it has closed: the open resources here must be closed
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with room.watch, room.lab:
         uvicorn.run(
@@ -104,7 +104,7 @@ def serve(
             port=address[1],
             log_level="warning",
             server_header=False,
-            proxy_headers=False,  # `X-Forwarded-For` is whatever a client says
+            proxy_headers=False,  # clients can forge `X-Forwarded-For`
             http=TimedHttp,
             ws_max_size=1 << 20,
             timeout_graceful_shutdown=2,
@@ -255,7 +255,7 @@ def _login_routes(app: FastAPI, room: PagesContext, users: Users, secure: bool) 
 
 
 def _came_from(request: Request) -> str:
-    """Path of the page of this server whose link was followed; "/" if the browser does not say."""
+    """Path of the referring page of this server; "/" if unknown."""
     came = urlsplit(request.headers.get("referer", ""))
     if came.netloc != request.headers.get("host") or not re.match(r"/[\w-]", came.path):
         return "/"
@@ -326,15 +326,15 @@ def _calibration_routes(app: FastAPI, room: PagesContext) -> None:
         if request.state.session.user.role < Role.engineer:
             return Response(status_code=403)
         settings = load_settings(room.config)
-        given = settings.calibration
-        if given is None:
+        section = settings.calibration
+        if section is None:
             return Response(status_code=404)
         reports = {*KINDS, *(f"grip.{product}" for product in settings.products)}
-        if name == assistants.FILE and (given.folder / name).is_file():
+        if name == assistants.FILE and (section.folder / name).is_file():
             headers = {"cache-control": "no-store"}
-            return FileResponse(given.folder / name, headers=headers)
-        if name in reports and (given.folder / f"{name}.html").is_file():
-            return FileResponse(given.folder / f"{name}.html", headers=SANDBOX)
+            return FileResponse(section.folder / name, headers=headers)
+        if name in reports and (section.folder / f"{name}.html").is_file():
+            return FileResponse(section.folder / f"{name}.html", headers=SANDBOX)
         return Response(status_code=404)
 
 
@@ -358,8 +358,8 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
         if not visit.has_role(Role.engineer):  # before anything of it is read
             return JSONResponse({"error": visit.do("lab upload", Role.engineer, str)}, 403)
         async with request.form(max_files=MOST_FILES, max_fields=1) as form:
-            given = [f for f in form.getlist("files") if isinstance(f, UploadFile)]
-            files = [(f.filename or "", f.file) for f in given]
+            uploads = [f for f in form.getlist("files") if isinstance(f, UploadFile)]
+            files = [(f.filename or "", f.file) for f in uploads]
             return await run_in_threadpool(_take, visit, files)
 
     @app.get("/lab/results/{name}/{page}")
@@ -379,14 +379,14 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
 
 
 def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
-    """Keep an upload, and have a study looked at."""
+    """Store an upload, and start the overview of a study."""
     lab = visit.room.lab
-    taken: list[UploadResult] = []
+    results: list[UploadResult] = []
 
     def act() -> str:
         try:
             lab.tidy()
-            taken.append(lab.workspace.take(files))
+            results.append(lab.workspace.take(files))
         except (UploadError, OSError) as error:
             return str(error)
         return ""
@@ -394,11 +394,11 @@ def _take(visit: Visit, files: Sequence[tuple[str, IO[bytes]]]) -> Response:
     note = ", ".join(ascii(name[:80]) for name, _ in files[:5])
     if refused := visit.do("lab upload", Role.engineer, act, note):
         return JSONResponse({"error": refused}, 422)
-    (found,) = taken
-    if found.is_study:
-        subject = lab_tasks.Subject(found.name, lab.workspace.studies / found.name)
+    (result,) = results
+    if result.is_study:
+        subject = lab_tasks.Subject(result.name, lab.workspace.studies / result.name)
         lab.jobs.submit(
             lab_tasks.LabTasks(lab.workspace, visit.room.config).show_study(subject), visit.name
         )
-    answer = {"name": found.name, "is_study": found.is_study, "files": list(found.files)}
+    answer = {"name": result.name, "is_study": result.is_study, "files": list(result.files)}
     return JSONResponse(answer)

@@ -1,4 +1,4 @@
-"""Sessions of people who have logged in, and which of their pages has control of the cell."""
+"""Sessions of logged-in people, and the page that has control of the cell."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 from cell.plant.users import Role, User
 
-#: A session ends after so long without a request, and after so long in any case, s.
+#: Time without a request after which a session ends, and its longest duration, s.
 IDLE_S, LONGEST_S = 30 * 60.0, 12 * 3600.0
-#: So many passwords may be wrong within `_LATELY_S`: of a name from one address, of all names from
-#: one address, and in all.  The last limit spares a name at an address where it was right before.
+#: Largest numbers of wrong passwords within `_LATELY_S`: of a name from one address, of all names
+#: from one address, and in all.  The last limit exempts a name at an address with an earlier login.
 MOST_WRONG, MOST_WRONG_OF_ADDRESS, MOST_WRONG_IN_ALL = 5, 20, 200
 _LATELY_S = 60.0
-#: More are forgotten, the oldest first.
+#: Largest number of stored entries; the oldest are dropped first.
 _MOST = 1000
 
 
@@ -25,8 +25,8 @@ _MOST = 1000
 class LoginLimit:
     """A limit of wrong passwords that has been reached.
 
-    counted   what was counted
-    is_first  whether it has refused nobody else within the last minute
+    counted   kind of the count
+    is_first  whether this is its first refusal within the last minute
     """
 
     counted: str
@@ -37,7 +37,7 @@ class LoginLimit:
 class LoginSession:
     """Session of one logged-in person.
 
-    key  what it is known by here; no cookie can be made of it
+    key  identifier within the server; the cookie's token cannot be derived from it
     """
 
     user: User
@@ -49,7 +49,7 @@ class LoginSession:
 class Sessions:
     """All sessions; safe to be used from several threads.
 
-    named  user of a name as the accounts say now: one who was removed has no session any more
+    named  current user of a name in the accounts: a removed user has no session any more
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Sessions:
         self._proved: dict[tuple[str, str], None] = {}
 
     def begin(self, user: User) -> str:
-        """Token of a new session, which only its cookie has."""
+        """Token of a new session, which is stored in its cookie only."""
         token, now = secrets.token_urlsafe(32), self._now_s()
         key = _key(token)
         with self._lock:
@@ -76,13 +76,13 @@ class Sessions:
         return token
 
     def of(self, token: str | None) -> LoginSession | None:
-        """Session of a cookie, which is used now; None = unknown, expired or ended."""
+        """Session of a cookie, counted as used; None = unknown, expired or ended."""
         return None if not token else self.renewed(_key(token))
 
     def renewed(self, key: str, *, used: bool = True) -> LoginSession | None:
-        """Session of a key, with the role that its user has now.
+        """Session of a key, with the current role of its user.
 
-        used  whether a person has done something, not only a page that is open
+        used  whether a person has acted, in contrast to an open page
         """
         now = self._now_s()
         with self._lock:
@@ -100,15 +100,14 @@ class Sessions:
             return session
 
     def end(self, token: str | None) -> None:
-        """Log out: the token is worth nothing any more."""
+        """Log out: the token becomes invalid."""
         with self._lock:
             self._open.pop(_key(token or ""), None)
 
     def count_login(self, name: str, address: str) -> LoginLimit | None:
         """Count a password as wrong before it is checked; the limit that refuses the check.
 
-        `count_right` takes it back, so that many requests at once are no more tries than one after
-        another.
+        `count_right` reverts it, so that concurrent requests do not allow more attempts.
         """
         now = self._now_s()
         with self._lock:
@@ -130,7 +129,7 @@ class Sessions:
             return None
 
     def count_right(self, name: str, address: str) -> None:
-        """A password was right: its try counts no more."""
+        """Revert the count of a correct password."""
         with self._lock:
             for counted in _limits(name, address):
                 times = self._wrong.get(counted, [])
@@ -146,7 +145,7 @@ _IN_ALL = "in all"
 
 
 def _limits(name: str, address: str) -> dict[str, int]:
-    """What a login counts for, and how many wrong passwords it may have."""
+    """Counters of a login, and their limits of wrong passwords."""
     return {
         f"of {name} from {address}": MOST_WRONG,
         f"from {address}": MOST_WRONG_OF_ADDRESS,
@@ -163,20 +162,20 @@ def _key(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-#: A page that has not been heard of for so long has control no more, s.
+#: Time without a sign of life after which a page loses control, s.
 LOST_S = 30.0
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Whoever has control: the page, and the person's name."""
+    """Holder of the control: the page, and the person's name."""
 
     page: str
     name: str
 
 
 class Control:
-    """The exclusive right to command the cell; Stop needs only the role that may operate."""
+    """The exclusive right to command the cell; Stop only needs the role of an operator."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
@@ -185,7 +184,7 @@ class Control:
         self._heard_s = 0.0
 
     def take(self, page: str, name: str) -> Holder:
-        """Take control if it is free, or from another page of one's own; whoever has it then."""
+        """Take control if it is free, or from another page of the same person; the new holder."""
         with self._lock:
             holder = self._present()
             if holder is None or holder.name == name:
@@ -194,13 +193,13 @@ class Control:
             return self._holder
 
     def release(self, page: str) -> None:
-        """Give control back; nothing happens if somebody else has it."""
+        """Release control; no effect if another page has it."""
         with self._lock:
             if self._holder is not None and self._holder.page == page:
                 self._holder = None
 
     def keep_alive(self, page: str) -> Holder | None:
-        """A page is still there; who has control, None = nobody."""
+        """Register a sign of life of a page; the holder of the control, None = nobody."""
         with self._lock:
             holder = self._present()
             if holder is not None and holder.page == page:

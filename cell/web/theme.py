@@ -13,15 +13,15 @@ from nicegui import ui
 from cell.run.machine import CellState
 from cell.web.wording import Translate
 
-#: Grounds of buttons and icons with white or black letters on them: contrast ≥ 4.5 with either.
+#: Background colours of buttons and icons with white or black letters: contrast ≥ 4.5 with either.
 GREEN, BLUE, AMBER, RED = "#146c2e", "#0b57a4", "#f5b301", "#b3261e"
-#: Classes of style, after ISA-101: grey unless a person is needed, or nothing is known.
+#: Style classes, after ISA-101: grey unless a person is needed, or nothing is known.
 NORMAL, WAITS, ALARM, NO_DATA = "normal", "waits", "alarm", "no-data"
 
 
 @dataclass(frozen=True)
 class StateStyle:
-    """How a state is shown: its word in English, and its class of style."""
+    """Style of a state: its English label, and its style class."""
 
     word: str
     level: str = NORMAL
@@ -41,12 +41,12 @@ LOOKS: dict[CellState, StateStyle] = {
     )
     for s in CellState
 }
-#: No cell is there.
+#: Style without a cell.
 AWAY = StateStyle(N_("No cell runs"), NO_DATA)
-#: A cell may be there, and says nothing.
+#: Style of a cell that does not answer.
 UNKNOWN = StateStyle(N_("No connection"), NO_DATA)
 
-#: Where `make docs-site` and wheels have the manual.
+#: Folder of the manual, as built by `make docs-site` and in wheels.
 MANUAL = Path(__file__).parents[1] / "manual"
 
 
@@ -63,7 +63,7 @@ def manual_page(page: str) -> str:
     return f"/manual/{page}" if (MANUAL / page).exists() else ""
 
 
-#: The browser asks before it leaves a page on which something is typed and not kept.
+#: Lets the browser warn before it leaves a page with unsaved text.
 UNSAVED = """
 <script>
 window.unsaved = new Set();
@@ -79,7 +79,7 @@ class Unsaved:
         self._name, self._is_typed = name, False
 
     def set(self, is_typed: bool) -> None:
-        """Tell the browser, if that has changed."""
+        """Notify the browser of a change."""
         if is_typed != self._is_typed:
             self._is_typed = is_typed
             change = "add" if is_typed else "delete"
@@ -101,18 +101,18 @@ _IN_LANGUAGE = "x.toLocaleString(document.documentElement.lang, {maximumSignific
 
 
 def chart(option: dict[str, Any], height: str = "h-64") -> ui.echart:
-    """A chart whose words have the colour of the theme, which letters on a canvas would not."""
+    """A chart whose labels follow the colour of the theme, in contrast to plain canvas text."""
     return ui.echart(localised(option), renderer="svg").classes(f"trend w-full {height}")
 
 
 def show_option(place: ui.echart, option: dict[str, Any]) -> None:
-    """Show something else in a chart."""
+    """Replace the content of a chart."""
     place.options.clear()
     place.options.update(localised(option))
 
 
 def localised(option: dict[str, Any]) -> dict[str, Any]:
-    """An ECharts option whose numbers the browser writes as the page's language does."""
+    """An ECharts option whose numbers the browser formats in the page's language."""
     axes = [option.get(name, {}) for name in ("xAxis", "yAxis")]
     for axis in (each for a in axes for each in (a if isinstance(a, list) else [a])):
         label = axis.get("axisLabel", {})
@@ -125,7 +125,7 @@ def localised(option: dict[str, Any]) -> dict[str, Any]:
 
 
 def notify_refusal(refused: str | None, t: Translate) -> None:
-    """Say why something was not done, if there is a reason."""
+    """Show the reason of a refusal, if any."""
     if refused:
         ui.notify(
             t(refused),
@@ -139,20 +139,20 @@ def notify_refusal(refused: str | None, t: Translate) -> None:
 
 
 async def confirmed(question: str, answer: str, t: Translate, test: str) -> bool:
-    """Whether a person says yes to a question; `answer` is on the button that does."""
-    with ui.dialog() as asked, ui.card():
+    """Whether a person confirms a question; `answer` is the label of the confirming button."""
+    with ui.dialog() as dialog, ui.card():
         ui.label(question)
         with ui.row():
-            ui.button(t("Close"), on_click=lambda: asked.submit(False)).props("outline")
-            yes = ui.button(answer, color=BLUE, on_click=lambda: asked.submit(True))
+            ui.button(t("Close"), on_click=lambda: dialog.submit(False)).props("outline")
+            yes = ui.button(answer, color=BLUE, on_click=lambda: dialog.submit(True))
             yes.props(f"text-color=white data-test={test}")
-    sure = bool(await asked)
-    asked.delete()
+    sure = bool(await dialog)
+    dialog.delete()
     return sure
 
 
 def table_head(heads: Sequence[str], numbers: Collection[int]) -> None:
-    """Headings of a table; `numbers`: columns that stand to the right."""
+    """Headings of a table; `numbers`: right-aligned columns."""
     with ui.element("thead"), ui.element("tr"):
         for number, head in enumerate(heads):
             with ui.element("th").classes("text-right" if number in numbers else ""):
@@ -164,7 +164,7 @@ def table(
 ) -> None:
     """A card with a heading and a table.
 
-    numbers  columns that stand to the right
+    numbers  right-aligned columns
     """
     with ui.card().classes("w-full overflow-x-auto"):
         heading(title)

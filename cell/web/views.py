@@ -1,4 +1,4 @@
-"""What the pages show, as plain data: pure functions of what is known of the cell."""
+"""Content of the pages, as plain data: pure functions of the cell's state."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ PICTURES = {
 }
 
 _S = CellState
-#: States in which no cycle is under way.
+#: States without a current cycle.
 _WITHOUT_CYCLE = frozenset(
     {_S.IDLE, _S.COMPLETE, _S.RESETTING, _S.STOPPED, _S.ABORTED, _S.CLEARING}
 )
 
-#: Words of the steps of a cycle.
+#: Labels of the steps of a cycle.
 STEPS = {
     "warm_up": N_("compiling"),
     "connect": N_("connecting"),
@@ -67,7 +67,7 @@ STEPS = {
     "bring_back": N_("bringing back"),
     "release": N_("releasing"),
 }
-#: Words of outcomes and of what is waited for.
+#: Labels of outcomes and of wait reasons.
 WORDS = {
     "inserted": N_("inserted"),
     "missed": N_("missed"),
@@ -92,7 +92,7 @@ SHIFT_DEFINITIONS = N_(
     "production time / planned busy time (APT/PBT); performance = planned run time per item × "
     "produced quantity / actual production time (PRI·PQ/APT); OEE = their product."
 )
-#: How outcomes are shown where there is room for one character, and their class of style.
+#: One-character marks of outcomes, and their style class.
 OUTCOME_MARKS: Mapping[str, tuple[str, str]] = {
     Outcome.INSERTED: ("✓", NORMAL),
     Outcome.MISSED: ("✗", WAITS),
@@ -104,22 +104,22 @@ OUTCOME_MARKS: Mapping[str, tuple[str, str]] = {
 ADAPTERS = {"opcua": "OPC UA", "mqtt": "MQTT", "handshake": N_("Handshake with the PLC")}
 
 
-#: Of a cell that was not seen yet, or is away.
+#: Status of a cell that has not connected yet, or is disconnected.
 _NO_STATUS = Status("", 0, CellState.IDLE, 0.0)
 
 
 @dataclass(frozen=True)
 class LiveView:
-    """The live page at one moment; texts that are words of the source are still to be translated.
+    """The live page at one moment; English labels are not translated yet.
 
-    step_share  time of the step, as a share of what it took last time, at most 1
+    step_share  time of the step, as a share of its last duration, at most 1
     buttons   commands that the present state accepts
-    waiting   what the cell waits for; starts are asked for by the button itself
+    waiting   wait reasons of the cell; a wait for a start is shown by the button itself
     fault     None = there is none to acknowledge
     adapters  as of `Status`
     reason    why the newest cable was rejected or missed
     result    of the newest cycle: heading of a figure → its text
-    unknown_s since when nothing is known of the cell, Unix time; None = it says what it does
+    unknown_s beginning of the time without messages, Unix time; None = the cell is connected
     newest    the newest cables, oldest first
     """
 
@@ -145,22 +145,22 @@ class LiveView:
     newest: tuple[ListedCycle, ...] = ()
 
 
-def live_view(seen: WatchedState, now_s: float) -> LiveView:
-    """What the live page shows.
+def live_view(cell: WatchedState, now_s: float) -> LiveView:
+    """Content of the live page.
 
     now_s  Unix time
     """
-    known = seen.status or _NO_STATUS
-    now = known if seen.connected else _NO_STATUS
-    figures, step = seen.figures, now.step or ""
+    known = cell.status or _NO_STATUS
+    now = known if cell.connected else _NO_STATUS
+    figures, step = cell.figures, now.step or ""
     newest = figures.newest if figures else ()
     last = known.last or (newest[-1].to_json() if newest else {})
-    step_s = max(0.0, now_s - seen.step_since_s) if seen.step_since_s and seen.connected else None
+    step_s = max(0.0, now_s - cell.step_since_s) if cell.step_since_s and cell.connected else None
     usual_s = (last.get("seconds") or {}).get(step) or 0.0
     look = AWAY if now is _NO_STATUS else LOOKS[now.state]
     counts = figures.counts if figures else known.counts
     return LiveView(
-        style=look if seen.unknown_s is None else UNKNOWN,
+        style=look if cell.unknown_s is None else UNKNOWN,
         step=step_word(step),
         step_s=step_s,
         step_share=min(1.0, step_s / usual_s) if step_s and usual_s else 0.0,
@@ -175,16 +175,16 @@ def live_view(seen: WatchedState, now_s: float) -> LiveView:
         reason=str(last.get("reason") or ""),
         result=result_figures(last),
         counts=ordered_counts(counts, has_cycle=now.state not in _WITHOUT_CYCLE),
-        shift=shift_texts(seen),
-        note=seen.note,
+        shift=shift_texts(cell),
+        note=cell.note,
         folder=Path(str(last.get("folder", ""))).name,
-        unknown_s=seen.unknown_s,
+        unknown_s=cell.unknown_s,
         newest=newest,
     )
 
 
 def why_disabled(event: MachineEvent, view: LiveView, *, in_control: bool) -> str:
-    """Why a command cannot be given now, in English; "" = it can."""
+    """Why a command is disabled, in English; "" = it is enabled."""
     if view.style.level == NO_DATA:
         return view.style.word
     if not in_control and event is not MachineEvent.STOP:
@@ -193,20 +193,20 @@ def why_disabled(event: MachineEvent, view: LiveView, *, in_control: bool) -> st
 
 
 def ordered_counts(counts: Mapping[str, int], *, has_cycle: bool) -> dict[str, int]:
-    """Number of cycles by outcome, in a fixed order; unfinished: under way or broken off.
+    """Number of cycles by outcome, in a fixed order; unfinished ones are current or aborted.
 
-    has_cycle  whether a cycle is under way
+    has_cycle  whether there is a current cycle
     """
     unfinished = counts.get(UNFINISHED, 0)
     under_way = min(unfinished, int(has_cycle))
-    found = {o.value: counts.get(o.value, 0) for o in Outcome}
-    found |= {o: n for o, n in sorted(counts.items()) if o not in found and o != UNFINISHED}
-    found |= {"under way": under_way, "broken off": unfinished - under_way}
-    return {outcome: n for outcome, n in found.items() if n}
+    ordered = {o.value: counts.get(o.value, 0) for o in Outcome}
+    ordered |= {o: n for o, n in sorted(counts.items()) if o not in ordered and o != UNFINISHED}
+    ordered |= {"under way": under_way, "broken off": unfinished - under_way}
+    return {outcome: n for outcome, n in ordered.items() if n}
 
 
 def step_word(step: str) -> str:
-    """Word of a step of a cycle, in English."""
+    """Label of a step of a cycle, in English."""
     return STEPS.get(step, step.replace("_", " "))
 
 
@@ -217,40 +217,40 @@ def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
         ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
         ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
     )
-    found = {
+    figures = {
         heading: f"{result[key] * scale:{form}} {unit}"
         for key, heading, scale, form, unit in named
         if result.get(key) is not None
     }
     if (probability := result.get("probability")) is not None:
-        found[N_("Probability")] = f"{percent(probability)} %"
-    return found
+        figures[N_("Probability")] = f"{percent(probability)} %"
+    return figures
 
 
-def shift_texts(seen: WatchedState) -> dict[str, str]:
+def shift_texts(state: WatchedState) -> dict[str, str]:
     """Yield and OEE of the shift, as texts; a dash where it has no meaning.
 
     Without a planned time there is no availability, and no OEE.
     """
-    shift = seen.figures.shift if seen.figures else None
+    shift = state.figures.shift if state.figures else None
     if shift is None:
         return {}
     shares = [(N_("Yield"), shift.quality), (N_("Performance"), shift.performance)]
-    if seen.figures is not None and seen.figures.is_planned:
+    if state.figures is not None and state.figures.is_planned:
         shares.insert(1, (N_("Availability"), shift.availability))
         shares.append((N_("OEE"), shift.oee))
     return {name: "–" if share is None else f"{share:.0%}" for name, share in shares}
 
 
 def fault_texts(fault: FaultNotice, t: Translate) -> tuple[str, str, str]:
-    """Heading, cause, and what can be done, a line each, in a language."""
+    """Heading, cause and remedies, a line each, in a language."""
     where = ", ".join(filter(None, (t(fault.device or ""), t(step_word(fault.step)))))
     remedies = "\n".join(map(t, filter(None, (fault.remedy, fault.cable))))
     return f"{t('Fault')}: {where}", t(fault.cause), remedies
 
 
 def adapters_text(adapters: Mapping[str, str], t: Translate) -> str:
-    """What is wrong with programs between the cell and the plant, a line each, in a language."""
+    """Failures of programs between the cell and the plant, a line each, in a language."""
     named = sorted(adapters.items())
     return "\n".join(f"{t(ADAPTERS.get(name, name))} {t(trouble)}" for name, trouble in named)
 
@@ -282,7 +282,7 @@ def history_row(cycle: ListedCycle, t: Translate) -> dict[str, str]:
     }
 
 
-#: Words of a chart over cables: values, their limits, cables not executed, the x axis.
+#: Labels of a chart over cables: values, their limits, cables not executed, the x axis.
 ChartWords = tuple[str, str, str, str]
 
 
@@ -300,9 +300,9 @@ def miss_chart(
     products: Mapping[str, Settings],
     usual: Settings,
 ) -> dict[str, Any]:
-    """Where the tip entered the opening, above its middle, with the edges of the opening.
+    """Height of the tip above the opening's middle at entry, with the edges of the opening.
 
-    products, usual  settings of each product, and those of cables of none
+    products, usual  settings of each product, and those of cables without a product
     """
     misses = [c.numbers.get("measured_miss_m") for c in cycles]
     openings = [products.get(c.product or "", usual).destination.y_m for c in cycles]
@@ -310,7 +310,7 @@ def miss_chart(
 
 
 def compact(chart: dict[str, Any]) -> dict[str, Any]:
-    """The chart without words and axes, for a small place."""
+    """The chart without labels and axes, for a small place."""
     grid = {"left": 60, "right": 10, "top": 8, "bottom": 8}
     axis = {**chart["xAxis"], "show": False, "name": ""}
     y_axis = {**chart["yAxis"], "splitNumber": 2}

@@ -1,4 +1,4 @@
-"""An open page of one person: session, language, and what its context offers."""
+"""An open page of one person: session, language, and context."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from cell.web.watching import CellWatch
 from cell.web.wording import Translate
 from cell.web.workspace import Workspace
 
-#: Commands that need no control of the cell: whoever may operate may stop it.
+#: Commands that need no control of the cell: every operator may stop it.
 _ALWAYS = frozenset({MachineEvent.STOP})
-#: A longer part id is refused, characters: the ledger has no room for it.
+#: Longest part id, characters, as in the ledger.
 _LONGEST_PART = 200
 
 
 @dataclass(eq=False)
 class PagesContext:
-    """What all pages share.
+    """Shared context of all pages.
 
     sessions  None = loopback without accounts
     """
@@ -55,11 +55,11 @@ class PagesContext:
 
     @cached_property
     def lab(self) -> Lab:
-        """What the lab's pages share; made when it is first asked for."""
+        """Shared state of the lab's pages, made at the first use."""
         return Lab(Workspace.of_runs(self.runs))
 
     def with_devices(self, begin: Callable[[], str]) -> str:
-        """Begin what moves the arm, unless something else has the devices; why not, or ""."""
+        """Begin a motion of the arm if the devices are free; reason of a refusal, or ""."""
         with self._taking:
             if self.watch.state.may_run:
                 return "a cell runs and has the devices: end it first"
@@ -74,9 +74,9 @@ class PagesContext:
 class Visit:
     """An open page.
 
-    page        identifies it among all that are open
+    page        identifier among all open pages
     t           translates a message into its language
-    heartbeats  that it was sent
+    heartbeats  sent to it
     """
 
     room: PagesContext
@@ -92,7 +92,7 @@ class Visit:
         return self.session.user.name
 
     def has_role(self, role: Role, *, used: bool = True) -> bool:
-        """Whether the session has this role still; `used`: a person has just done something."""
+        """Whether the session still has this role; `used`: a person has just acted."""
         session: LoginSession | None = self.session
         if self.room.sessions is not None:
             session = self.room.sessions.renewed(self.session.key, used=used)
@@ -100,25 +100,25 @@ class Visit:
 
     def do(
         self,
-        what: str,
+        action: str,
         role: Role,
         act: Callable[[], str],
         note: str = "",
         *,
         asked_s: float | None = None,
     ) -> str:
-        """Do something that is written to the audit log, done or refused.
+        """Perform an action, and write it to the audit log, done or refused.
 
-        act      does it; returns why it could not be done, or ""
-        asked_s  of what may move the arm: since when it may have been asked; refused when too old
-        returns  why it was not done, or that it was and is not in the log, in English, or ""
+        act      performs it; returns why it failed, or ""
+        asked_s  if the arm may move: earliest time of the request, refused when too old
+        returns  why it was not done, or that its log entry failed, in English, or ""
         """
         denied = "you may not do this, or your session has ended"
-        late = "" if asked_s is None else too_old(what, asked_s)
+        late = "" if asked_s is None else too_old(action, asked_s)
         refused = (late or act()) if self.has_role(role) else denied
         try:
             self.room.audit.write(
-                self.name, what, not refused, "; ".join(filter(None, (note, refused)))
+                self.name, action, not refused, "; ".join(filter(None, (note, refused)))
             )
         except OSError as error:
             file, why = self.room.audit.file, error.strerror
@@ -126,26 +126,26 @@ class Visit:
         return refused
 
     def acknowledge(self, asked_s: float, by: str, note: str) -> str:
-        """A person's word after a fault or a stop, upon which nothing moves; why not, or "".
+        """Acknowledge a fault or a stop; nothing moves.  Reason of a refusal, or "".
 
         asked_s, by  as of `command`
         """
         return self._ask(Request(None, self._who(by), note, asked_s=asked_s))
 
     def command(self, event: MachineEvent, asked_s: float, part: str = "") -> str:
-        """Give a command to the cell; why it was not obeyed, or "".  Waits for the answer.
+        """Send a command to the cell, and wait for the answer; reason of a refusal, or "".
 
-        asked_s  since when the page may have been asked, on the monotonic clock
+        asked_s  earliest time of the request, on the monotonic clock
         """
         return self._ask(Request(event, self._who(), part=part or None, asked_s=asked_s))
 
     def _who(self, by: str = "") -> str:
-        """Who asks; `by` = who says so of an account that several use."""
+        """Name of the person; `by` = name that a person of a shared account has entered."""
         return f"web:{self.name}" + (f" ({by})" if by and by != self.name else "")
 
     def _ask(self, request: Request) -> str:
         event, part = request.command, request.part or ""
-        what = "acknowledge" if event is None else event.value
+        action = "acknowledge" if event is None else event.value
 
         def act() -> str:
             holder = self.room.control.keep_alive(self.page)
@@ -159,12 +159,12 @@ class Visit:
                 return str(error)
             return "" if answer.accepted else answer.reason
 
-        return self.do(what, Role.operate, act, request.note)
+        return self.do(action, Role.operate, act, request.note)
 
 
 async def do(
     visit: Visit,
-    what: str,
+    action: str,
     role: Role,
     act: Callable[[], str],
     note: str = "",
@@ -172,6 +172,6 @@ async def do(
     asked_s: float | None = None,
 ) -> bool:
     """`Visit.do` in a thread; a refusal is shown.  Whether it was done."""
-    refused = await run.io_bound(visit.do, what, role, act, note, asked_s=asked_s)
+    refused = await run.io_bound(visit.do, action, role, act, note, asked_s=asked_s)
     notify_refusal(refused, visit.t)
     return not refused

@@ -29,11 +29,11 @@ from drivers.threads import GuardedThread, error_text
 _LOG = logging.getLogger(__name__)
 Read = TypeVar("Read")
 
-#: A cell that says nothing for so long is shown as unknown, s; a sign of life is sent every 0.4 s.
+#: Silence after which a cell is shown as unknown, s; a sign of life is sent every 0.4 s.
 UNKNOWN_S = 1.3
-#: The ledger is asked again after so long, s: after a result, and in between.
+#: Intervals of queries to the ledger, s: after a result, and in between.
 _ASK_S = 2.0
-#: Outcomes of cycles that were to insert a cable, and how many of the newest are shown.
+#: Outcomes of cycles that were to insert a cable, and number of the newest that are shown.
 CABLES = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED, Outcome.FAILED)
 MOST_CABLES = 20
 
@@ -44,8 +44,8 @@ class ShiftFigures:
 
     counts   cycles by outcome
     reasons  code of a fault, or "rejected" or "missed"; number of cycles, newest cause; most first
-    is_planned  whether the settings say when shifts begin: else no time was planned for work
-    newest   the newest cables, whenever they were, oldest first
+    is_planned  whether the settings have shifts: else no time was planned for work
+    newest   the newest cables of any shift, oldest first
     """
 
     counts: dict[str, int]
@@ -59,11 +59,11 @@ class ShiftFigures:
 class WatchedState:
     """State of the cell as known to the pages at one moment.
 
-    status        None = no cell was seen yet
+    status        None = no cell has connected yet
     connected     whether a cell runs now
-    unknown_s     since when nothing was heard of a cell that may run, Unix time; None = it was
-    step_since_s  when the step under way began, Unix time
-    note          why nothing is known, in words
+    unknown_s     beginning of the silence of a cell that may run, Unix time; None = not silent
+    step_since_s  beginning of the current step, Unix time
+    note          why nothing is known
     """
 
     status: Status | None = None
@@ -75,15 +75,15 @@ class WatchedState:
 
     @property
     def may_run(self) -> bool:
-        """Whether a cell runs, or one that says nothing may: it has the devices."""
+        """Whether a cell runs, or may run silently: it has the devices."""
         return self.connected or self.unknown_s is not None
 
 
 class CellWatch:
-    """Follows the cell within a `with`; `seen` is the newest state, for any thread."""
+    """Follows the cell within a `with`; `state` gives the newest state, in any thread."""
 
     def __init__(self, client: Client, settings: Settings, runs: Path) -> None:
-        self._seen = WatchedState()
+        self._state = WatchedState()
         self._client = client
         self._settings = settings
         self._runs = runs
@@ -103,32 +103,32 @@ class CellWatch:
 
     @property
     def state(self) -> WatchedState:
-        """What is known now."""
-        client, seen = self._client, self._seen
+        """The present state."""
+        client, state = self._client, self._state
         age_s, silent = time.monotonic() - client.heard_s, client.away is not None
         if silent and isinstance(client.away, NoCellError):
-            return replace(seen, connected=False)
-        if seen.status is not None and (silent or age_s > UNKNOWN_S):
-            return replace(seen, connected=False, unknown_s=time.time() - age_s)
-        return seen
+            return replace(state, connected=False)
+        if state.status is not None and (silent or age_s > UNKNOWN_S):
+            return replace(state, connected=False, unknown_s=time.time() - age_s)
+        return state
 
     def lost(self) -> None:
-        """The cell is there no more: for the client's `on_lost`."""
+        """Callback of the client's `on_lost`: the cell has disconnected."""
         self._set(connected=False)
 
     def reconnected(self) -> None:
-        """It is there again as it was: for the client's `on_there`."""
+        """Callback of the client's `on_there`: the cell is connected again, unchanged."""
         self._set(connected=True)
 
     def _set(self, **known: Any) -> None:
         with self._lock:
-            self._seen = replace(self._seen, **known)
+            self._state = replace(self._state, **known)
 
     def _follow(self) -> None:
         try:
             for message in self._client.follow():
                 with self._lock:
-                    self._seen = state_after(self._seen, message)
+                    self._state = state_after(self._state, message)
                 if isinstance(message, Status) or message.kind is MessageKind.RESULT:
                     self._ask.set()
         except ProtocolError as error:
@@ -150,7 +150,7 @@ class CellWatch:
             self._ask.clear()
 
     def _list_actions(self) -> None:
-        """Take what was done at the pages into the ledger, if there is one."""
+        """Copy the actions at the pages into the ledger, if there is one."""
         log, ledger = audit_file(self._runs), self._settings.ledger
         try:
             size = log.stat().st_size if log.exists() else 0
@@ -162,26 +162,26 @@ class CellWatch:
             _LOG.info("%s", error)
 
 
-def state_after(seen: WatchedState, message: Notice | Status) -> WatchedState:
+def state_after(state: WatchedState, message: Notice | Status) -> WatchedState:
     """The watched state, updated by a message of the cell."""
     if isinstance(message, Status):
         begun = time.time() if message.step else None
-        return replace(seen, status=message, connected=True, step_since_s=begun)
-    if seen.status is None:
-        return seen
-    status = status_after(seen.status, message)
-    begun = seen.step_since_s
+        return replace(state, status=message, connected=True, step_since_s=begun)
+    if state.status is None:
+        return state
+    status = status_after(state.status, message)
+    begun = state.step_since_s
     if message.kind is MessageKind.STEP:
         begun = message.time_s
     elif status.step is None:
         begun = None
-    return replace(seen, status=status, connected=True, step_since_s=begun)
+    return replace(state, status=status, connected=True, step_since_s=begun)
 
 
 def read_ledger(
     settings: Settings, runs: Path, read: Callable[[Ledger], Read]
 ) -> tuple[Read | None, str]:
-    """What `read` finds in the ledger; None, and why, if there is none or it cannot be read."""
+    """Result of `read` on the ledger; None, and why, if there is none or it cannot be read."""
     if settings.ledger is None:
         return None, "the settings say `ledger: null`: no cycles are listed"
     try:
@@ -192,7 +192,7 @@ def read_ledger(
 
 
 def shift_figures(settings: Settings, runs: Path, now: datetime) -> ShiftFigures | None:
-    """Figures of the shift under way; None = there is no ledger, or it cannot be read."""
+    """Figures of the current shift; None = there is no ledger, or it cannot be read."""
     if settings.ledger is None:
         return None
     options, line = settings.ledger, line_name(settings)

@@ -1,11 +1,11 @@
-"""Words of the pages in a person's language, from gettext's catalogues; English is the source.
+"""Translations of the pages' texts, from gettext's catalogues; English is the source.
 
-A further language is a file `locales/LANGUAGE/LC_MESSAGES/cell.po`.  Its messages may have places
-for values:
+A further language is a file `locales/LANGUAGE/LC_MESSAGES/cell.po`.  Its messages may have
+placeholders for values:
 
-    {name}            any text, which is said as it is
-    {name:number}     a number, said with the decimal sign of the language
-    {name:sentence}   a sentence or word of the catalogue, said as it is if the catalogue lacks it
+    {name}            any text, which is not translated
+    {name:number}     a number, with the decimal sign of the language
+    {name:sentence}   a sentence or word of the catalogue, unchanged if the catalogue lacks it
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-#: A longer text stays as it is, characters; so does one of more sentences or deeper ones.
+#: Limits of a translated text: characters, sentences and depth; larger ones stay unchanged.
 LONGEST, MOST_SENTENCES, DEEPEST = 2000, 12, 18
-#: So many parts of a text are looked up.
+#: Number of parts of a text that are looked up.
 MOST_LOOKUPS = 300
-#: So many texts are remembered with what they are in the language.
+#: Number of cached translations.
 REMEMBERED = 1024
 
 _PLACE = re.compile(r"\{([a-z_]+)(?::(number|sentence))?\}")
@@ -32,20 +32,20 @@ _BETWEEN = re.compile(r"; |\. |\n")
 
 @dataclass(frozen=True)
 class Placeholder:
-    """A place for a value: `kind` is "", "number" or "sentence"."""
+    """A placeholder for a value: `kind` is "", "number" or "sentence"."""
 
     name: str
     kind: str
 
 
 def parts_of(message: str) -> Iterator[str | Placeholder]:
-    """Texts and places of a message, in their order."""
+    """Texts and placeholders of a message, in their order."""
     end = 0
-    for found in _PLACE.finditer(message):
-        if found.start() > end:
-            yield message[end : found.start()]
-        yield Placeholder(found[1], found[2] or "")
-        end = found.end()
+    for matched in _PLACE.finditer(message):
+        if matched.start() > end:
+            yield message[end : matched.start()]
+        yield Placeholder(matched[1], matched[2] or "")
+        end = matched.end()
     if end < len(message):
         yield message[end:]
 
@@ -59,30 +59,30 @@ class Template:
 
     @cached_property
     def parts(self) -> tuple[str | Placeholder, ...]:
-        """Of the message."""
+        """Parts of the message."""
         return tuple(parts_of(self.message))
 
     @cached_property
     def translated_parts(self) -> tuple[str | Placeholder, ...]:
-        """Of what it is in the language."""
+        """Parts of the translation."""
         return tuple(parts_of(self.translated))
 
     @cached_property
     def literal(self) -> int:
-        """How many characters are not those of values."""
+        """Number of characters outside placeholders."""
         return sum(len(p) for p in self.parts if isinstance(p, str))
 
     @cached_property
     def longest(self) -> str:
-        """Its longest text between values: what lacks it need not be matched."""
+        """Its longest text between placeholders, which every matching text contains."""
         return max((p for p in self.parts if isinstance(p, str)), key=len, default="")
 
     @cached_property
     def pattern(self) -> re.Pattern[str]:
-        """Matches its sentences.
+        """Regular expression of its sentences.
 
-        A value that is any text ends where what follows it is found first, and is never tried
-        longer: an atomic group. So no sentence takes long, whatever its values are.
+        A value of any text ends at the first match of the following text, without backtracking:
+        an atomic group. So the time of a match is bounded for all values.
         """
         made: list[str] = []
         opened = False
@@ -97,19 +97,19 @@ class Template:
         return re.compile("".join([*made, r"\Z", ")" if opened else ""]), re.DOTALL)
 
     def values(self, text: str) -> Mapping[str, str] | None:
-        """Values of a text that is a sentence of this template; None = it is none."""
+        """Values of the placeholders in a text; None = it does not match this template."""
         if self.longest not in text:
             return None
-        found = self.pattern.match(text)
-        return None if found is None else found.groupdict()
+        matched = self.pattern.match(text)
+        return None if matched is None else matched.groupdict()
 
 
 @dataclass(frozen=True)
 class Translation:
-    """A translated text, and how well its message matched.
+    """A translated text, and the quality of the match.
 
     literal       number of its characters that belong to the message, not to values
-    untranslated  values that stay as they are, except numbers
+    untranslated  values that are not translated, except numbers
     """
 
     literal: int
@@ -124,28 +124,28 @@ class Sentences:
     """
 
     def __init__(self, known: Mapping[str, str], decimal: str = ".") -> None:
-        self._known = {message: said for message, said in known.items() if message and said}
+        self._known = {message: text for message, text in known.items() if message and text}
         self._decimal = decimal
-        made = [Template(m, said) for m, said in self._known.items() if _PLACE.search(m)]
+        made = [Template(m, text) for m, text in self._known.items() if _PLACE.search(m)]
         self._templates = sorted(made, key=lambda t: -t.literal)
         self._remembered = lru_cache(REMEMBERED)(self.find)
 
     def __call__(self, text: str) -> str:
-        """A text in the language."""
-        if (said := self._known.get(text)) is not None:
-            return said
+        """Translation of a text."""
+        if (translated := self._known.get(text)) is not None:
+            return translated
         if len(text) > LONGEST:
             return text
-        found = self._remembered(text)
-        return text if found is None else found.text
+        result = self._remembered(text)
+        return text if result is None else result.text
 
     def find(self, text: str) -> Translation | None:
-        """A text in the language; None = a sentence of it is unknown, and nothing is translated."""
+        """Translation of a text; None = one of its sentences is unknown."""
         return _Search(self._known, self._templates, self._decimal).text(text)
 
 
 class _Search:
-    """One text that is looked up, with all of its parts."""
+    """Search for the translation of one text, with all of its parts."""
 
     def __init__(self, known: Mapping[str, str], templates: list[Template], decimal: str) -> None:
         self._known, self._templates, self._decimal = known, templates, decimal
@@ -154,17 +154,17 @@ class _Search:
         self._depth = 0
 
     def text(self, text: str) -> Translation | None:
-        """One sentence, or some: what has the most characters that are not those of values."""
+        """Translation of one or several sentences with the most literal characters."""
         if text not in self._texts:
             self._texts[text] = None
             if self._depth < DEEPEST:
                 self._depth += 1
-                self._texts[text] = _most(self._joined(text), self._sentence(text))
+                self._texts[text] = _most(self._split_text(text), self._sentence(text))
                 self._depth -= 1
         return self._texts[text]
 
     def _sentence(self, text: str) -> Translation | None:
-        """One sentence, not taken apart."""
+        """Translation of one sentence, not split."""
         if text in self._known:
             return Translation(len(text), self._known[text])
         if text in self._single:
@@ -175,48 +175,48 @@ class _Search:
         self._single[text] = None
         for template in self._templates:
             if (values := template.values(text)) is not None:
-                best = _most(best, self._translated(template, values))
+                best = _most(best, self._translate(template, values))
         self._single[text] = best
         return best
 
-    def _translated(self, template: Template, values: Mapping[str, str]) -> Translation:
-        literal, said = template.literal, dict(values)
-        kept: tuple[str, ...] = ()
+    def _translate(self, template: Template, values: Mapping[str, str]) -> Translation:
+        literal, texts = template.literal, dict(values)
+        untranslated: tuple[str, ...] = ()
         for place in (p for p in template.parts if isinstance(p, Placeholder)):
             value = values[place.name]
             if place.kind == "number":
-                said[place.name] = value.replace(".", self._decimal)
-            elif place.kind == "sentence" and (found := self.text(value)) is not None:
-                said[place.name] = found.text
-                literal, kept = literal + found.literal, kept + found.untranslated
+                texts[place.name] = value.replace(".", self._decimal)
+            elif place.kind == "sentence" and (part := self.text(value)) is not None:
+                texts[place.name] = part.text
+                literal, untranslated = literal + part.literal, untranslated + part.untranslated
             else:
-                kept += (value,)
-        parts = (p if isinstance(p, str) else said[p.name] for p in template.translated_parts)
-        return Translation(literal, "".join(parts), kept)
+                untranslated += (value,)
+        parts = (p if isinstance(p, str) else texts[p.name] for p in template.translated_parts)
+        return Translation(literal, "".join(parts), untranslated)
 
-    def _joined(self, text: str) -> Translation | None:
-        """The first sentence, and the rest."""
+    def _split_text(self, text: str) -> Translation | None:
+        """Translation of the first sentence, and of the rest."""
         best: Translation | None = None
         places = list(_BETWEEN.finditer(text))
         for between in places if len(places) < MOST_SENTENCES else ():
             first = self._sentence(text[: between.start()])
             rest = None if first is None else self.text(text[between.end() :])
             if first is not None and rest is not None:
-                said = f"{first.text}{between[0]}{rest.text}"
+                joined = f"{first.text}{between[0]}{rest.text}"
                 literal = first.literal + len(between[0]) + rest.literal
                 best = _most(
-                    best, Translation(literal, said, first.untranslated + rest.untranslated)
+                    best, Translation(literal, joined, first.untranslated + rest.untranslated)
                 )
         return best
 
 
-def _most(one: Translation | None, other: Translation | None) -> Translation | None:
-    if one is None or other is None:
-        return one or other
-    return other if other.literal > one.literal else one
+def _most(first: Translation | None, second: Translation | None) -> Translation | None:
+    if first is None or second is None:
+        return first or second
+    return second if second.literal > first.literal else first
 
 
-#: A message in English → in the language of whoever looks.
+#: A message in English → in the language of the page.
 Translate = Callable[[str], str]
 
 _LOCALES = Path(__file__).parent / "locales"
@@ -225,15 +225,15 @@ SOURCE = "en"
 
 
 def languages() -> tuple[str, ...]:
-    """Languages that there are, English first."""
-    found = sorted(p.name for p in _LOCALES.iterdir() if (p / _FILE).is_file())
-    return (SOURCE, *(name for name in found if name != SOURCE))
+    """Available languages, English first."""
+    available = sorted(p.name for p in _LOCALES.iterdir() if (p / _FILE).is_file())
+    return (SOURCE, *(name for name in available if name != SOURCE))
 
 
 def translation(language: str) -> Translate:
     """Function that translates a message or a sentence with values in it.
 
-    What the catalogue lacks stays English, whole.
+    A text that the catalogue lacks stays English as a whole.
     """
     if language not in languages() or language == SOURCE:
         return str
@@ -255,7 +255,7 @@ def catalogue(language: str) -> dict[str, str]:
 
 def read_po(text: str) -> dict[str, str]:
     """Messages of a catalogue: msgid and msgstr, each of one or more quoted lines."""
-    found: dict[str, str] = {}
+    messages: dict[str, str] = {}
     parts = {"msgid": "", "msgstr": ""}
     key = ""
     for line in [*text.splitlines(), 'msgid ""']:
@@ -263,15 +263,15 @@ def read_po(text: str) -> dict[str, str]:
         if match is None:
             continue
         if match[1] == "msgid":
-            found[parts["msgid"]] = parts["msgstr"]
+            messages[parts["msgid"]] = parts["msgstr"]
             parts = {"msgid": "", "msgstr": ""}
         key = match[1] or key
         parts[key] += ast.literal_eval(match[2])
-    return found
+    return messages
 
 
 def preferred(accepted: str) -> str:
-    """The first language of an `Accept-Language` header that there is; else English."""
+    """The first available language of an `Accept-Language` header; else English."""
     known = languages()
     for part in accepted.split(","):
         name = part.split(";")[0].strip().lower().split("-")[0]

@@ -1,7 +1,7 @@
 """The lab's folder, next to the records: uploads, studies, results, effects; names, sizes, age.
 
-What comes from a browser is not trusted: no name leads out of the folder, no archive unpacks to
-more than is allowed, links are refused.
+Data from a browser are not trusted: no name leads out of the folder, no archive unpacks to more
+than the limit, links are refused.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from typing import IO
 
 from cell.study.imports.read import KINDS
 
-#: Endings of files that are taken; `cell import` and studies read these.
+#: Suffixes of accepted files; `cell import` and studies read these.
 SUFFIXES = frozenset({".yaml", ".yml", *KINDS})
-#: Of one upload, unpacked: bytes, files, folders within folders.
+#: Limits of one upload, unpacked: bytes, files, depth of folders.
 MOST_UNPACKED, MOST_FILES, MOST_DEPTH = 256 << 20, 1200, 4
-#: Of the whole folder, bytes; what is older is removed, s.
+#: Limits of the workspace: bytes, and age after which files are removed, s.
 MOST_BYTES, LONGEST_S = 2 << 30, 30 * 86400.0
-#: Characters of a name.
+#: Largest number of characters of a name.
 LONGEST_NAME = 80
 _PIECE = 1 << 20
 _STUDY = "study.yaml"
-#: What programs leave in folders and archives.
+#: Files of the operating system in folders and archives, which are ignored.
 _LITTER = re.compile(r"^(\..*|__MACOSX|Thumbs\.db|desktop\.ini)$")
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
 
 
 class UploadError(ValueError):
-    """What was uploaded is not taken; the message names the file and the remedy."""
+    """An upload is refused; the message names the file and the remedy."""
 
 
 @dataclass(frozen=True)
 class UploadResult:
-    """What an upload was: a study, or files for `cell import`."""
+    """Content of an upload: a study, or files for `cell import`."""
 
     name: str
     is_study: bool
@@ -55,7 +55,7 @@ def is_name(name: str) -> bool:
 
 
 def plain(name: str) -> str:
-    """A name made of letters, digits, `_`, `-` and `.` only; its ending stays; may be empty."""
+    """A name reduced to letters, digits, `_`, `-` and `.`, with its suffix; may be empty."""
     stem, dot, ending = name.rpartition(".")
     stem, ending = (stem, re.sub(r"[^A-Za-z0-9]+", "", ending)) if dot else (name, "")
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem).strip("._-")
@@ -66,9 +66,9 @@ def plain(name: str) -> str:
 
 
 def placed(name: str) -> PurePosixPath | None:
-    """Where an uploaded file goes, in the folder of its upload; None = it is litter.
+    """Path of an uploaded file in the folder of its upload; None = it is ignored.
 
-    raises  UploadError: the name leads elsewhere, or is of a file that is not taken
+    raises  UploadError: the name leads out of the folder, or its kind is refused
     """
     shown = ascii(name[:LONGEST_NAME])
     path = PurePosixPath(name.replace("\\", "/"))
@@ -92,7 +92,7 @@ class Workspace:
 
     studies     a folder each
     uploads     files for `cell import`, a folder for each upload
-    effects     that were typed
+    effects     typed effects
     candidates  models that `cell learn` proposes
     """
 
@@ -103,40 +103,40 @@ class Workspace:
 
     @classmethod
     def of_runs(cls, runs: Path) -> Workspace:
-        """That of the cell whose records are in `runs`; short where commands are typed."""
-        whole = runs.resolve()
-        folder = whole.with_name(f"{whole.name}.lab")
+        """Workspace of the cell whose records are in `runs`, by a short path if possible."""
+        resolved = runs.resolve()
+        folder = resolved.with_name(f"{resolved.name}.lab")
         here = Path.cwd()
         return cls(folder.relative_to(here) if folder.is_relative_to(here) else folder)
 
     def results(self, study: str) -> Path:
-        """Folder of what was found in a study, or in a recorded cycle, of this name."""
+        """Folder of the results of a study, or of a recorded cycle, of this name."""
         return self.folder / "results" / study
 
     def names(self, folder: Path, suffix: str = "") -> list[str]:
-        """Names of what lies in one of these folders, the newest first; without the suffix."""
+        """Names of the entries of one of these folders, the newest first; without the suffix."""
         try:
-            found = [e for e in os.scandir(folder) if e.name.endswith(suffix) and is_name(e.name)]
+            entries = [e for e in os.scandir(folder) if e.name.endswith(suffix) and is_name(e.name)]
         except OSError:
             return []
-        found.sort(key=lambda e: e.stat().st_mtime_ns, reverse=True)
-        return [e.name.removesuffix(suffix) for e in found]
+        entries.sort(key=lambda e: e.stat().st_mtime_ns, reverse=True)
+        return [e.name.removesuffix(suffix) for e in entries]
 
     def uploaded(self, name: str) -> list[str]:
         """Files of an upload, by name; none if there is no such upload."""
         return sorted(self.names(self.uploads / name)) if is_name(name) else []
 
     def take(self, files: Sequence[tuple[str, IO[bytes]]]) -> UploadResult:
-        """Keep an upload: one archive, or files with the names that they have in their folder.
+        """Store an upload: one archive, or files with their names relative to their folder.
 
-        raises  UploadError: nothing is kept; OSError: there is no room
+        raises  UploadError: nothing is stored; OSError: there is no room
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         draft = Path(mkdtemp(prefix=".upload-", dir=self.folder))
         try:
             (draft / "files").mkdir()
             is_archive = len(files) == 1 and files[0][0].lower().endswith(".zip")
-            names = _unpacked(files[0][1], draft / "files") if is_archive else _copied(files, draft)
+            names = _unpack(files[0][1], draft / "files") if is_archive else _copy(files, draft)
             if not names:
                 raise UploadError("there is no file that could be read; give a study, or tables")
             return self._store(draft / "files", names, files[0][0] if is_archive else "")
@@ -151,24 +151,24 @@ class Workspace:
         first = plain(PurePosixPath(archive or names[0].as_posix()).stem)
         common = names[0].parts[0] if len(names[0].parts) > 1 else first
         name = studies[0].name if studies and studies[0].name else common
-        kept = tuple(n.as_posix() for n in names)
+        stored = tuple(n.as_posix() for n in names)
         if not studies:
             _flatten(files, names)
-            kept = tuple(n.name for n in names)
+            stored = tuple(n.name for n in names)
         folder = _free(self.studies if studies else self.uploads, name or "upload")
         folder.parent.mkdir(parents=True, exist_ok=True)
         top.rename(folder)
-        return UploadResult(folder.name, bool(studies), kept)
+        return UploadResult(folder.name, bool(studies), stored)
 
     def tidy(self, used: Collection[str] = ()) -> list[str]:
-        """Remove what is old, then the oldest until the folder is small enough; names removed.
+        """Remove old entries, then the oldest down to the size limit; names of the removed ones.
 
-        used  names of studies and uploads that are at work, which stay
+        used  names of studies and uploads in use, which stay
         """
         places = (self.studies, self.uploads, self.folder / "results")
-        found = [p for place in places if place.is_dir() for p in place.iterdir()]
+        present = [p for place in places if place.is_dir() for p in place.iterdir()]
         drafts = self.folder.glob(".upload-*") if self.folder.is_dir() else ()
-        ages = sorted((_age_s(p), p) for p in (*found, *drafts))
+        ages = sorted((_age_s(p), p) for p in (*present, *drafts))
         sizes = {p: sum(f.lstat().st_size for f in _files(p) if f.exists()) for _, p in ages}
         total, removed = sum(sizes.values()), []
         for age_s, path in reversed(ages):
@@ -185,23 +185,23 @@ class Workspace:
         return path.resolve().is_relative_to(self.folder.resolve())
 
 
-def _copied(files: Sequence[tuple[str, IO[bytes]]], draft: Path) -> list[PurePosixPath]:
-    left = [MOST_UNPACKED]
+def _copy(files: Sequence[tuple[str, IO[bytes]]], draft: Path) -> list[PurePosixPath]:
+    remaining = [MOST_UNPACKED]
     names: list[PurePosixPath] = []
     if len(files) > MOST_FILES:
         raise UploadError(f"{len(files)} files; at most {MOST_FILES} at once")
-    for given, content in files:
-        if given.lower().endswith(".zip"):
-            raise UploadError(f"{given[:LONGEST_NAME]!a}: give one archive, and it alone")
-        if (name := placed(given)) is not None:
-            _write(content, draft / "files", name, left)
+    for file_name, content in files:
+        if file_name.lower().endswith(".zip"):
+            raise UploadError(f"{file_name[:LONGEST_NAME]!a}: give one archive, and it alone")
+        if (name := placed(file_name)) is not None:
+            _write(content, draft / "files", name, remaining)
             names.append(name)
     return names
 
 
-def _unpacked(archive: IO[bytes], folder: Path) -> list[PurePosixPath]:
+def _unpack(archive: IO[bytes], folder: Path) -> list[PurePosixPath]:
     """Names of the files of an archive, unpacked.  Raises UploadError."""
-    left, names = [MOST_UNPACKED], list[PurePosixPath]()
+    remaining, names = [MOST_UNPACKED], list[PurePosixPath]()
     try:
         with zipfile.ZipFile(archive) as opened:
             entries = [e for e in opened.infolist() if not e.is_dir()]
@@ -212,7 +212,7 @@ def _unpacked(archive: IO[bytes], folder: Path) -> list[PurePosixPath]:
                     raise UploadError(f"{entry.filename!a}: is a link; put the file itself in")
                 if (name := placed(entry.filename)) is not None:
                     with opened.open(entry) as content:
-                        _write(content, folder, name, left)
+                        _write(content, folder, name, remaining)
                     names.append(name)
     except (
         zipfile.BadZipFile,
@@ -225,15 +225,15 @@ def _unpacked(archive: IO[bytes], folder: Path) -> list[PurePosixPath]:
     return names
 
 
-def _write(content: IO[bytes], folder: Path, name: PurePosixPath, left: list[int]) -> None:
-    """Copy a file as long as there is room: `left` has the bytes that may still be written."""
+def _write(content: IO[bytes], folder: Path, name: PurePosixPath, remaining: list[int]) -> None:
+    """Copy a file as long as there is room: `remaining` has the bytes that may still be written."""
     path = folder / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("xb") as file:
             while piece := content.read(_PIECE):
-                left[0] -= len(piece)
-                if left[0] < 0:
+                remaining[0] -= len(piece)
+                if remaining[0] < 0:
                     raise UploadError(
                         f"{name}: with it the upload has over {MOST_UNPACKED >> 20} MiB unpacked; "
                         "upload less at once"
@@ -244,7 +244,7 @@ def _write(content: IO[bytes], folder: Path, name: PurePosixPath, left: list[int
 
 
 def _flatten(files: Path, names: Sequence[PurePosixPath]) -> None:
-    """Bring files out of their folders; `cell import` names trials after files."""
+    """Move files out of their folders; `cell import` names trials after files."""
     if len({n.name for n in names}) < len(names):
         raise UploadError("two files in different folders have the same name; rename one")
     for name in names:
@@ -255,7 +255,7 @@ def _flatten(files: Path, names: Sequence[PurePosixPath]) -> None:
 
 
 def _free(folder: Path, name: str) -> Path:
-    """A name that is not there yet: NAME, NAME-2, …"""
+    """An unused name: NAME, NAME-2, …"""
     numbers = iter(range(2, 10_000))
     path = folder / name
     while path.exists():
@@ -268,6 +268,6 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _age_s(folder: Path) -> float:
-    """Since anything in it was written, s."""
+    """Time since the last change in it, s."""
     newest = max((f.lstat().st_mtime for f in _files(folder)), default=folder.lstat().st_mtime)
     return time.time() - max(newest, folder.lstat().st_mtime)

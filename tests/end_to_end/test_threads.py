@@ -370,7 +370,7 @@ def test_an_opcua_server_that_shows_nothing_new_ends(
 def test_a_page_whose_cell_is_followed_no_more_says_so(tmp_path: Path) -> None:
     client = SimpleNamespace(follow=boom, away=None, heard_s=0.0)
     watch = CellWatch(client, None, tmp_path)  # type: ignore[arg-type]
-    watch._seen = WatchedState(connected=True, figures=SimpleNamespace())  # type: ignore[arg-type]
+    watch._state = WatchedState(connected=True, figures=SimpleNamespace())  # type: ignore[arg-type]
     with watch:
         wait_until(lambda: not watch.state.connected and watch.state.figures is None)
     assert watch.state.note == "ValueError: boom"

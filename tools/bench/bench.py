@@ -39,7 +39,7 @@ from tools.bench.bench_task import (
 from tools.bench.benchmark_rods import RodReference, RodRow, reference, searched
 from tools.bench.rod_entrants import EngineEntrant, RodEntrant, RodSetting
 
-#: Work of a search, s: to 50 µm of the first task it is enough.
+#: Budget of a search, s: enough for 50 µm in the first task.
 SEARCH_S = 30.0
 
 
@@ -60,14 +60,14 @@ def against_mujoco() -> None:
         cpu_s = best_of(*runs, rounds=5, clock=time.process_time)
         name = f"MuJoCo / engine, {segments or 'any'} segments"
         report(name, theirs / mine, ">=", 20.0)
-        # what other programs hardly change: on a busy computer the ratio above is chance
+        # hardly affected by other programs; on a busy computer the ratio above is random
         report(f"{name}, CPU time of all threads", cpu_s[1] / cpu_s[0], ">=", 40.0)
 
 
 def first_within(
     task: RodTask, entrant: RodEntrant, exact: Callable[[], RodReference], segments: int | None
 ) -> tuple[RodRow, RodSetting]:
-    """The cheapest setting, of a mesh or any, within the allowed error.
+    """The cheapest setting, of one mesh or of any, within the allowed error.
 
     raises  RuntimeError: there is none
     """
@@ -110,7 +110,7 @@ def linear_cost() -> None:
     report("largest departure from a line", max(per) / middle - 1.0, "<=", 0.2)
 
 
-#: A pass may cost so many times its simulations; the rest is models, residuals and the solution.
+#: Largest cost of a pass over its simulations; the rest is models, residuals and the solution.
 PASS_COSTS = 1.25
 
 
@@ -139,17 +139,17 @@ def gauss_newton_pass() -> None:
             measured: np.ndarray = measured,
         ) -> np.ndarray:
             models = [space.model(lane) for lane in lanes]
-            found = simulate(models, MOTIONS[-1], times, ARC)
+            simulated = simulate(models, MOTIONS[-1], times, ARC)
             steps = np.diag(lanes[1:] - lanes[0])
-            jacobian = (found[1:] - found[0]).reshape(len(steps), -1) / steps[:, None]
-            residual = (measured - found[0]).ravel()
+            jacobian = (simulated[1:] - simulated[0]).reshape(len(steps), -1) / steps[:, None]
+            residual = (measured - simulated[0]).ravel()
             return np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=None)[0]
 
         def one_batch(space: ParameterSpace = space, lanes: np.ndarray = lanes) -> object:
             return simulate([space.model(lanes[0])] * at.LANES, MOTIONS[-1], times, ARC)
 
         one_pass(), one_batch()
-        # CPU time, and a peer that any computer slows as much: both fail only where we are slow
+        # CPU time, and a peer that is slowed equally by load: a failure means that we are slow
         seconds, batch = best_of(one_pass, one_batch, rounds=100, clock=time.process_time)
         count = len(lanes)
         batches = -(-count // at.LANES)
@@ -203,7 +203,7 @@ def start_up() -> None:
     report("seconds", seconds, "<=", 3.0)
 
 
-#: Cycles whose waits are measured, so that all of the bench takes less than six minutes.
+#: Number of cycles whose waits are measured: the bench takes less than six minutes.
 WAITS = 12
 
 
@@ -211,15 +211,15 @@ def waiting() -> None:
     from tools.bench.bench_wait import MOST_WAITED_MS, summary, waits
 
     print("\nthe robot waits for the computer: simulated cycles at the speed of reality")
-    found = waits(WAITS, 1, burners=0)
-    print(summary(found))
-    waited_ms = np.array([1e3 * w.wait_s for w in found])
-    beyond_ms = waited_ms - [1e3 * w.stall_s for w in found]
+    measured = waits(WAITS, 1, burners=0)
+    print(summary(measured))
+    waited_ms = np.array([1e3 * w.wait_s for w in measured])
+    beyond_ms = waited_ms - [1e3 * w.stall_s for w in measured]
     report("milliseconds, 95 % of them", np.nanquantile(waited_ms, 0.95), "<=", MOST_WAITED_MS)
     report("beyond the computer's own stall", np.nanquantile(beyond_ms, 0.95), "<=", 30.0)
-    after_ms = 1e3 * np.nanmedian([w.after_cpu_s for w in found])
+    after_ms = 1e3 * np.nanmedian([w.after_cpu_s for w in measured])
     report("CPU time after the last frame, milliseconds", after_ms, "<=", 10.0)
-    held = float(np.nanmedian([w.hold_cpu for w in found]))
+    held = float(np.nanmedian([w.hold_cpu for w in measured]))
     report("CPU time during the hold, share of two cores", held, "<=", 0.5)
 
 
@@ -227,10 +227,10 @@ def servo_loop() -> None:
     from tools.bench.bench_servo import servo, summary
 
     print("\nservo loop at 500 Hz for 60 s with vision running, as the emulated controller sees it")
-    found = servo(60.0)
-    print(summary(found))
-    report("period in ms, p99", found.percentile_ms(99.0), "<=", 2.5)
-    report("age of the oldest command, ms", found.percentile_ms(100.0), "<=", 10.0)
+    measured = servo(60.0)
+    print(summary(measured))
+    report("period in ms, p99", measured.percentile_ms(99.0), "<=", 2.5)
+    report("age of the oldest command, ms", measured.percentile_ms(100.0), "<=", 10.0)
 
 
 _MISSED: list[str] = []

@@ -1,9 +1,9 @@
 """PyElastica on the tasks of the speed measurements: Cosserat rods, all lanes in one block.
 
 A rod is round, with the cable's mass and EI; its radius is a setting: a thick one allows long
-steps, a thin one shears, stretches and turns as little as the cable.  The element of which half is
-in the clamp is held.  Viscosity of bending, which PyElastica lacks, is a damper of its own here:
-implicit, so that it does not shorten the steps.
+steps, a thin one shears, stretches and turns as little as the cable.  The element that is half in
+the clamp is held.  Viscosity of bending, which PyElastica lacks, is implemented here as an implicit
+damper, which does not shorten the steps.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from tools.bench.rod_entrants import RodSetting, Run
 MESHES = (11, 16, 24, 36, 54)
 #: Radius over the cable's length; step over the longest that is stable.
 RADII, COURANT = (0.04, 0.02, 0.01, 0.005, 0.0025), 0.7
-#: Lengths of the hinges next to the clamp over an element's, as the engine has them.
+#: Lengths of the hinges next to the clamp over an element's, as in the engine.
 CLAMP, OUT_OF_PLANE = np.array([26.0, 21.0, 25.0]) / 24.0, np.array([0.0, 0.0, 1.0])
 
 
 class _Collection(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
-    """A simulator with what the tasks need."""
+    """A simulator with the features of the tasks."""
 
 
 class _ClampedBases(ea.ConstraintBase):
@@ -171,7 +171,7 @@ class ElasticaEntrant:
             cells.add_forcing_to(rods[0]).using(_WeightAndDrag, fleet=fleet)
             cells.finalize()
             _gather(fleet, next(iter(cells.final_systems())), task, n)
-            return _stepped(cells, fleet, every, task)
+            return _simulate(cells, fleet, every, task)
 
         return run
 
@@ -197,7 +197,7 @@ def _resting(model: CableModel, n: int) -> np.ndarray:
 
 
 def _gather(fleet: SimpleNamespace, block: Any, task: RodTask, n: int) -> None:
-    """What of the block is whose."""
+    """Assign slices of the block to the lanes."""
     fleet.nodes = np.array(block.start_idx_in_rod_nodes)[:, None] + np.arange(n + 1)
     fleet.elements = np.array(block.start_idx_in_rod_elems)[:, None] + np.arange(n)
     fleet.weight = np.zeros(block.n_nodes)
@@ -209,7 +209,7 @@ def _gather(fleet: SimpleNamespace, block: Any, task: RodTask, n: int) -> None:
     fleet.block = block
 
 
-def _stepped(cells: Any, fleet: SimpleNamespace, every: int, task: RodTask) -> np.ndarray:
+def _simulate(cells: Any, fleet: SimpleNamespace, every: int, task: RodTask) -> np.ndarray:
     """Tips, (lanes, times, 2)."""
     stepper, time_s, last = PositionVerlet(), np.float64(0.0), fleet.nodes[:, -1]
     tips = np.full((len(task.models), task.times_s.size, 2), np.nan)

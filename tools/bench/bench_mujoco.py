@@ -40,7 +40,7 @@ def fields_of(model: CableModel, segments: int) -> np.ndarray:
 def chain(model: CableModel, fields: np.ndarray, setting: RodSetting) -> mujoco.MjModel:
     """Thin rods on hinges, and a heavy base on two slides that carries them along the path.
 
-    The engine's own mesh, the best known to us.  MuJoCo's fluid reads a strip from the inertias.
+    The engine's own mesh, the best known to us.  MuJoCo's fluid infers a strip from the inertias.
     """
     opened, reach = "", fields[0, at.LENGTH]
     across = model.cable.width_m**2 / 12
@@ -112,12 +112,12 @@ class MujocoEntrant:
         part = every * 20  # states of more steps at once do not stay in the cache
 
         def run() -> np.ndarray:
-            state, kept = np.array(first), [np.array(first)[:, None]]
+            state, stored = np.array(first), [np.array(first)[:, None]]
             for begin in range(0, steps, part):
                 out, _ = pool().rollout(models, work, state, control[:, begin : begin + part])
                 state = np.ascontiguousarray(out[:, -1])
-                kept.append(out[:, every - 1 :: every].copy())
-            bends = np.concatenate(kept, axis=1)[:, :, 3 : 3 + setting.segments]
+                stored.append(out[:, every - 1 :: every].copy())
+            bends = np.concatenate(stored, axis=1)[:, :, 3 : 3 + setting.segments]
             angles = np.concatenate([np.zeros_like(bends[:, :, :1]), np.cumsum(bends, 2)], axis=2)
             tips = [np.einsum("lts,ls->lt", f(angles), lengths) for f in (np.cos, np.sin)]
             return np.asarray(np.stack(tips, axis=2) * -1.0 + np.swapaxes(grip, 1, 2))

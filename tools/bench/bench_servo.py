@@ -1,13 +1,13 @@
 """Servo loop of the arm's driver at 500 Hz with vision running: measured where commands arrive.
 
 The shipped emulated cell: real RTDE client, rendered pictures of a swinging cable as a stream, and
-the cable looked for in each of them by the process that also commands the arm.
+the cable detected in each of them by the process that also commands the arm.
 
     python -m tools.bench.bench_servo --pairs 4 [--what plant] [--seconds 15] [--burn 1]
 
-With --pairs it is measured without and with a recording, in turn.  With `--plant` it is without
-and with a plant around: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker,
-and a link that tells them what a cell would; `--what pages` adds the pages, which five look at.
+With --pairs it is measured without and with a recording, alternately.  With `--plant` it is without
+and with a plant: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker, and a
+link that sends them the notices of a cell; `--what pages` adds the pages, with five viewers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tools.processes import busy_cores
 CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
-#: Adapters of `--what plant`, and those of `--what pages`, with five who look at the live page.
+#: Adapters of `--what plant`, and those of `--what pages`, with five viewers of the live page.
 PLANT, PAGES = ("opcua", "mqtt"), ("opcua", "mqtt", "serve")
 STROKE_M, SWING_S = 0.03, 1.5
 
@@ -52,7 +52,7 @@ class Servo:
     """Times between two commands at the controller, s, and frames processed in that time.
 
     cpu_s     of this process: arm, camera and vision
-    troubles  what the camera said when it could not keep up; it was connected again
+    troubles  messages of the camera when it fell behind and was connected again
     stalls    of this computer in the same time
     """
 
@@ -78,7 +78,7 @@ def up_and_down(seconds: float, rate_hz: float) -> Trajectory:
 
 
 class _Watcher:
-    """Looks for the cable in what the camera gives; a camera that falls behind is no end."""
+    """Detects the cable in the camera's frames; connects a camera again that falls behind."""
 
     def __init__(self, camera: Camera, plane: PlaneView, options: VisionOptions) -> None:
         self._camera, self._plane, self._options = camera, plane, options
@@ -119,15 +119,15 @@ def servo(
     pages: bool = False,
 ) -> Servo:
     with tempfile.TemporaryDirectory() as name, ExitStack() as around:
-        beside = None
+        around_it = None
         if plant or pages:
             runs = Path(name) / "runs"
             around.enter_context(published(runs))
-            what = PAGES if pages else PLANT
-            beside = Plant(
-                Path(name) / "plant", CONFIG, runs, adapters=what, clients=5, viewers=5 * pages
+            adapters = PAGES if pages else PLANT
+            around_it = Plant(
+                Path(name) / "plant", CONFIG, runs, adapters=adapters, clients=5, viewers=5 * pages
             )
-            around.enter_context(beside)
+            around.enter_context(around_it)
         content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
         content["arm"]["host"] = HOST
         content["camera"]["device"] = f"tcp://{HOST}:5600"
@@ -156,14 +156,14 @@ def servo(
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
             cpu_s = time.process_time()
-            others_s = {} if beside is None else beside.cpu_s()
+            others_s = {} if around_it is None else around_it.cpu_s()
             path, begin_s = up_and_down(seconds, devices.arm.rate_hz), time.monotonic() + 0.1
             devices.arm.follow(path, begin_s)
             watcher.watch(time.monotonic() + seconds)
             cpu_s = time.process_time() - cpu_s
             stalls = probe.take()
-            if beside is not None:
-                spent = {k: (v - others_s[k]) / seconds for k, v in beside.cpu_s().items()}
+            if around_it is not None:
+                spent = {k: (v - others_s[k]) / seconds for k, v in around_it.cpu_s().items()}
                 print("  CPU:", ", ".join(f"{k} {v:.1%}" for k, v in spent.items()))
             gaps_s = np.array(emulated.controller.request("servo_gaps")["gaps_s"])
             recorder.close()
@@ -171,39 +171,39 @@ def servo(
             devices.camera.close()
             devices.gripper.close()
     troubles = tuple(watcher.troubles)
-    seen = watcher.frames, watcher.unseen
-    return Servo(gaps_s, *seen, seconds, cpu_s, troubles, stalls)
+    counts = watcher.frames, watcher.unseen
+    return Servo(gaps_s, *counts, seconds, cpu_s, troubles, stalls)
 
 
-def summary(found: Servo) -> str:
-    gaps_s = found.gaps_s
-    troubles = "".join(f"\n  the emulated camera fell behind: {said}" for said in found.troubles)
+def summary(times: Servo) -> str:
+    gaps_s = times.gaps_s
+    troubles = "".join(f"\n  the emulated camera fell behind: {text}" for text in times.troubles)
     return (
-        f"  {len(gaps_s)} commands in {found.seconds:.0f} s, {found.frames} frames looked at "
-        f"({found.unseen} without cable), load average {os.getloadavg()[0]:.1f}\n"
-        f"  period median {found.percentile_ms(50.0):.2f} ms, p99 {found.percentile_ms(99.0):.2f}, "
-        f"p99.9 {found.percentile_ms(99.9):.2f}, longest {found.percentile_ms(100.0):.2f}; "
+        f"  {len(gaps_s)} commands in {times.seconds:.0f} s, {times.frames} frames looked at "
+        f"({times.unseen} without cable), load average {os.getloadavg()[0]:.1f}\n"
+        f"  period median {times.percentile_ms(50.0):.2f} ms, p99 {times.percentile_ms(99.0):.2f}, "
+        f"p99.9 {times.percentile_ms(99.9):.2f}, longest {times.percentile_ms(100.0):.2f}; "
         f"{np.mean(gaps_s > 0.0025):.3%} above 2.5 ms\n"
-        f"  CPU time of arm, camera and vision: {found.cpu_s / found.seconds:.0%} of a core\n"
-        f"  {found.stalls}{troubles}"
+        f"  CPU time of arm, camera and vision: {times.cpu_s / times.seconds:.0%} of a core\n"
+        f"  {times.stalls}{troubles}"
     )
 
 
-def paired(pairs: int, seconds: float, what: str) -> None:
+def paired(pairs: int, seconds: float, option: str) -> None:
     """Print measurements with and without an option, in pairs of alternating order."""
     p99_ms: dict[bool, list[float]] = {False: [], True: []}
     late: dict[bool, list[float]] = {False: [], True: []}
     for pair in range(pairs):
         for done in (pair % 2 == 1, pair % 2 == 0):
-            found = servo(seconds, **{what: done})
-            p99_ms[done].append(found.percentile_ms(99.0))
-            late[done].append(float(np.mean(found.gaps_s > 0.0025)))
-            print(what if done else f"not {what}", summary(found), sep="\n", flush=True)
+            measured = servo(seconds, **{option: done})
+            p99_ms[done].append(measured.percentile_ms(99.0))
+            late[done].append(float(np.mean(measured.gaps_s > 0.0025)))
+            print(option if done else f"not {option}", summary(measured), sep="\n", flush=True)
     ratios = np.array(p99_ms[True]) / np.array(p99_ms[False])
     print(
-        f"p99 {np.median(p99_ms[True]):.2f} ms {what}, {np.median(p99_ms[False]):.2f} ms not: "
+        f"p99 {np.median(p99_ms[True]):.2f} ms {option}, {np.median(p99_ms[False]):.2f} ms not: "
         f"ratio median {np.median(ratios):.3f}, {ratios.min():.3f} to {ratios.max():.3f}; above "
-        f"2.5 ms {np.mean(late[True]):.3%} {what}, {np.mean(late[False]):.3%} not"
+        f"2.5 ms {np.mean(late[True]):.3%} {option}, {np.mean(late[False]):.3%} not"
     )
 
 
@@ -215,9 +215,9 @@ def main() -> None:
     parser.add_argument("--plant", action="store_const", const="plant", dest="what")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
-    given = parser.parse_args()
-    with busy_cores(given.burn):
-        paired(given.pairs, given.seconds, given.what)
+    arguments = parser.parse_args()
+    with busy_cores(arguments.burn):
+        paired(arguments.pairs, arguments.seconds, arguments.what)
 
 
 if __name__ == "__main__":

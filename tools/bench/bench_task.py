@@ -51,16 +51,16 @@ class RodTask:
 
     @property
     def period_s(self) -> float:
-        """Of the times."""
+        """Interval of the times, s."""
         return float(self.times_s[1])
 
     @property
     def simulated_s(self) -> float:
-        """Of all lanes together."""
+        """Simulated time of all lanes, s."""
         return len(self.models) * self.times_s.size * self.period_s
 
     def part(self, every: int) -> RodTask:
-        """The task with every so many of its lanes."""
+        """The task with every n-th of its lanes."""
         return replace(self, models=self.models[::every], motions=self.motions[::every])
 
 
@@ -88,7 +88,7 @@ def rod_tasks() -> dict[str, RodTask]:
     """The tasks of the benchmark of rods.  Droop: weight per length · L³ / EI."""
     drag = (library()["air_drag"].active(drag_coefficient=2.0),)
     stiff, long = Cable(0.06, 0.02, 0.016, 1e-3), Cable(2.0, 0.05, 0.01, 0.004)
-    found = (
+    tasks = (
         on_offsets("10 cm, droop 2.4", MODEL),
         on_offsets("6 cm, droop 0.5", CableModel.uniform(stiff, 8.5e-5, 1.0, 8.5e-8)),
         on_offsets("2 m, droop 10", CableModel.uniform(long, 0.39, 1.0, 4e-3), 4.0),
@@ -96,7 +96,7 @@ def rod_tasks() -> dict[str, RodTask]:
         on_offsets("10 cm, air drag", CableModel.uniform(CABLE, 3e-5, 1.0, 1e-7, effects=drag)),
         gradient(),
     )
-    return {task.name: task for task in found}
+    return {task.name: task for task in tasks}
 
 
 def best_of(
@@ -104,7 +104,7 @@ def best_of(
     rounds: int = 9,
     clock: Callable[[], float] = time.perf_counter,
 ) -> list[float]:
-    """Shortest time of each, s; taken in turns, so that a busy machine hits all alike."""
+    """Shortest time of each, s; measured alternately, so that load affects all equally."""
     shortest = [np.inf] * len(functions)
     gc.disable()
     for _ in range(rounds):

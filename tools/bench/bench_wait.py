@@ -3,16 +3,16 @@
     python -m tools.bench.bench_wait [--cycles 30] [--seed 1] [--burn 1] [--recorded]
         [--plant | --pages] [--freely 0.25 [--half-mm 1]]
 
-Beside every wait stands the longest stall of this computer in that cycle, as another process
-measured it, and the CPU time of the cell: a share of two cores while the hold is filmed, and what
-is left to compute after its last frame.  `--burn` keeps so many cores busy all the time.  With
-`--plant` the same cycles are made again with a plant around: OPC UA with five clients that
-subscribe every 100 ms, and MQTT with a broker.  With `--pages` the pages are served, too, and five
-look at the live page, one of whom reads nothing of it.
+Every wait is printed with the longest stall of this computer in that cycle, measured by a separate
+process, and the CPU time of the cell: a share of two cores while the hold is filmed, and the
+remaining computation after its last frame.  `--burn` keeps a number of cores busy.  With `--plant`
+the same cycles are repeated with a plant: OPC UA with five clients that subscribe every 100 ms, and
+MQTT with a broker.  With `--pages` the pages are served, too, to five viewers of the live page, one
+of which reads nothing.
 
 A real camera does not need the computer to draw its pictures.  So each cycle is run twice: here
-without pause, which gives the pictures, and then at the speed of reality with these, by a process
-that does nothing else, as `cell run` does.  Its first cycle is its first.
+without pause, to render the pictures, and then in real time with these, by a separate process, as
+`cell run` does.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from tools.plant.around import Plant
 from tools.processes import busy_cores, family
 from tools.worlds.fast_cell import with_opening
 
-#: No gripper shall hold a cable longer for want of a decision.
+#: Limit of a gripper's wait for a decision.
 MOST_WAITED_MS = 50.0
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
@@ -62,9 +62,8 @@ CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 class Wait:
     """The cell's wait for the computer in one cycle, and its load.
 
-    wait_s    from when the last frame of the hold was taken until the offset was chosen, as the
-              cell reports it, and the time by which that frame was read later than it could have
-              been, which a simulated clock does not see
+    wait_s    from the last frame of the hold to the choice of the offset, as the cell reports it,
+              plus the delay in reading that frame, which a simulated clock does not show
     behind_s  this time alone
     hold_cpu  CPU time of the cell's processes during the hold, share of two cores
     after_cpu_s  the same after the last frame, until the offset was chosen
@@ -82,7 +81,7 @@ class Wait:
 
 
 class KeepingCamera:
-    """A camera that keeps what it gives."""
+    """A camera that stores its frames."""
 
     def __init__(self, camera: Camera, clock: SimClock) -> None:
         self._camera, self._clock = camera, clock
@@ -106,14 +105,14 @@ class KeepingCamera:
 
 
 class PlaybackCamera:
-    """A camera that gives what another one kept, at the speed of the clock."""
+    """A camera that replays stored frames, at the speed of the clock."""
 
     def __init__(self, clock: SimClock, frame_rate_hz: float) -> None:
         self.name, self.frame_rate_hz = "camera", frame_rate_hz
         self._clock = clock
         self.recordings: list[list[tuple[float, Frame]]] = []
         self.late_s: list[list[float]] = []
-        self._left: list[tuple[float, Frame]] = []
+        self._pending: list[tuple[float, Frame]] = []
 
     def connect(self) -> None:
         pass
@@ -122,17 +121,17 @@ class PlaybackCamera:
         pass
 
     def stop(self) -> None:
-        self._left = []
+        self._pending = []
 
     def start(self, frame_count: int) -> None:
         self._start_s = self._clock.now_s()
-        self._left = self.recordings.pop(0)
+        self._pending = self.recordings.pop(0)
         self.late_s.append([])
 
     def read(self) -> Frame | None:
-        if not self._left:
+        if not self._pending:
             return None
-        ready_s, frame = self._left.pop(0)
+        ready_s, frame = self._pending.pop(0)
         self._clock.forward_to_s(self._start_s + ready_s)
         self.late_s[-1].append(time.perf_counter() - ready_s)
         return replace(frame, t_s=frame.t_s + self._start_s)
@@ -143,7 +142,7 @@ def measured(
 ) -> None:
     """Run cycles on the pictures from a pipe, and send back the measured times.
 
-    linked  folder of the records beside which the cell has its link; None = it has none
+    linked  folder of the records next to which the cell has its link; None = it has none
     """
     end_in_order()
     take_precedence()  # as a cell does whose devices are real
@@ -152,10 +151,10 @@ def measured(
     devices = replace(twin_devices(twins), camera=player)
     with tempfile.TemporaryDirectory() as runs:
         began: dict[str, tuple[float, float]] = {}
-        told: list[PlantEnd] = []
+        plants: list[PlantEnd] = []
 
         def on_step(number: int, step: str) -> None:
-            for plant in told:
+            for plant in plants:
                 plant.step(number, step)
             if step in (HOLD.name, IDENTIFY.name, EXECUTE.name):  # to ask takes 0.5 ms itself
                 began[step] = time.perf_counter(), cpu_s()
@@ -165,24 +164,24 @@ def measured(
         made = cell_with(settings, devices, Path(runs), on_step, archive=Archive(how))
         with ended, closing(made) as cell, ExitStack() as link:
             if linked is not None:
-                told.append(PlantEnd(BuiltCell(cell, Products(settings)), linked, settings))
-                link.enter_context(told[0].reachable())
+                plants.append(PlantEnd(BuiltCell(cell, Products(settings)), linked, settings))
+                link.enter_context(plants[0].reachable())
             for number in range(1, cycles + 1):
                 player.recordings, player.late_s = to_parent.recv(), []
                 began.clear()
-                for plant in told:
+                for plant in plants:
                     plant.reporter.cycle(number, None, None)
                 result = cycle_of(cell, number)
-                for plant in told:
+                for plant in plants:
                     plant.reporter.result(result)
                 hold = player.late_s[0]
                 behind_s = hold[-1] - min(hold)
                 waited_s = np.nan if result.wait_s is None else result.wait_s + behind_s
                 hold = spent(began, HOLD.name, IDENTIFY.name)
-                left = spent(began, IDENTIFY.name, EXECUTE.name)
+                rest = spent(began, IDENTIFY.name, EXECUTE.name)
                 share = hold[1] / (2.0 * hold[0])
                 load = os.getloadavg()[0]
-                to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, left[1], load))
+                to_parent.send(Wait(result.outcome.value, waited_s, behind_s, share, rest[1], load))
 
 
 _SIGNALS: list[int] = []
@@ -199,7 +198,7 @@ def end_in_order() -> None:
 
 
 def cycle_of(cell: Cell, number: int) -> Result:
-    """Run a cycle; after it, exit if SIGTERM was received meanwhile."""
+    """Run a cycle; exit after it if SIGTERM was received meanwhile."""
     result = cell.run_cycle(number)
     if _SIGNALS:
         sys.exit(128 + _SIGNALS[0])
@@ -221,7 +220,7 @@ def cpu_of(pid: int) -> float:
 
 
 def spent(began: dict[str, tuple[float, float]], step: str, until: str) -> tuple[float, float]:
-    """Time and CPU time, s, from when a step began until another did; nan if one did not."""
+    """Time and CPU time, s, from the beginning of a step to that of `until`; nan if missing."""
     if step not in began or until not in began:
         return np.nan, np.nan
     (t0, cpu0), (t1, cpu1) = began[step], began[until]
@@ -237,10 +236,10 @@ def waits(
     plant: Path | None = None,
     pages: bool = False,
 ) -> list[Wait]:
-    """Run cycles at the speed of reality, and print and return the wait of each.
+    """Run cycles in real time, and print and return the wait of each.
 
     settings  None = those of the simulated cell
-    plant     folder for a plant around it; None = there is none
+    plant     folder for a plant; None = there is none
     pages     the plant has the pages, too
     """
     end_in_order()
@@ -256,7 +255,7 @@ def waits(
     child.start()
     twins = build_twins(settings, seed, cycles)
     recorder = KeepingCamera(twins.camera, twins.world.clock)
-    found = []
+    measured_waits = []
     with ExitStack() as stack:
         stack.enter_context(busy_cores(burners))
         stack.callback(child.join)
@@ -269,18 +268,18 @@ def waits(
         if plant is not None and linked is not None:
             names = ("opcua", "mqtt", *(["serve"] if pages else []))
             viewers = 5 if pages else 0
-            beside = Plant(plant, CONFIG, linked, adapters=names, clients=5, viewers=viewers)
-            stack.enter_context(beside)
+            around_it = Plant(plant, CONFIG, linked, adapters=names, clients=5, viewers=viewers)
+            stack.enter_context(around_it)
             Client(linked).connect(wait_s=300.0)
-            before_s, begun_s = beside.cpu_s(), time.monotonic()
+            before_s, begun_s = around_it.cpu_s(), time.monotonic()
         for number in range(1, cycles + 1):
             recorder.recordings = []
             cycle_of(cell, number)
             probe.take()
             here.send(recorder.recordings)
             recorder.recordings = []
-            found.append(replace(here.recv(), stall_s=probe.take().longest_s))
-            w = found[-1]
+            measured_waits.append(replace(here.recv(), stall_s=probe.take().longest_s))
+            w = measured_waits[-1]
             print(
                 f"  cycle {number:3d}: {w.outcome}, {w.wait_s * 1e3:6.1f} ms, of these vision "
                 f"behind by {w.behind_s * 1e3:5.1f} ms; "
@@ -290,25 +289,25 @@ def waits(
                 flush=True,
             )
         if plant is not None:
-            for name, taken_s in beside.cpu_s().items():
-                share = (taken_s - before_s[name]) / (time.monotonic() - begun_s)
+            for name, used_s in around_it.cpu_s().items():
+                share = (used_s - before_s[name]) / (time.monotonic() - begun_s)
                 print(f"  CPU of {name}: {share:.1%} of a core")
-    return found
+    return measured_waits
 
 
-def summary(found: list[Wait]) -> str:
+def summary(rows: list[Wait]) -> str:
     """Quantiles and a histogram."""
-    ms = 1e3 * np.array([w.wait_s for w in found])
-    own = ms - 1e3 * np.array([w.stall_s for w in found])
+    ms = 1e3 * np.array([w.wait_s for w in rows])
+    own = ms - 1e3 * np.array([w.stall_s for w in rows])
     middle, most, worst = np.nanquantile(ms, [0.5, 0.95, 1.0])
     lines = [
-        f"  {len(ms)} cycles, load {np.mean([w.load for w in found]):.1f}: median {middle:.1f} ms, "
+        f"  {len(ms)} cycles, load {np.mean([w.load for w in rows]):.1f}: median {middle:.1f} ms, "
         f"95 % within {most:.1f} ms, worst {worst:.1f} ms, first {ms[0]:.1f} ms; "
         f"{np.mean(ms <= MOST_WAITED_MS):.0%} within {MOST_WAITED_MS:g} ms",
         f"  beyond the computer's own stall: median {np.nanmedian(own):.1f} ms, 95 % within "
         f"{np.nanquantile(own, 0.95):.1f} ms",
-        f"  CPU: {np.nanmedian([w.hold_cpu for w in found]):.0%} of two cores during the hold, "
-        f"{1e3 * np.nanmedian([w.after_cpu_s for w in found]):.1f} ms after the last frame",
+        f"  CPU: {np.nanmedian([w.hold_cpu for w in rows]):.0%} of two cores during the hold, "
+        f"{1e3 * np.nanmedian([w.after_cpu_s for w in rows]):.1f} ms after the last frame",
     ]
     edges = [0, 10, 20, 30, 40, 50, 75, 100, 200, np.inf]
     for low, high in pairwise(edges):
@@ -352,14 +351,14 @@ def main() -> None:
         ):
             if wanted:
                 print(name, flush=True)
-                found = waits(*common, settings, plant=plant, pages=options.pages)
-                print(summary(found), *compared(name, base, found), sep="\n", flush=True)
+                rows = waits(*common, settings, plant=plant, pages=options.pages)
+                print(summary(rows), *compared(name, base, rows), sep="\n", flush=True)
 
 
-def compared(name: str, base: list[Wait], found: list[Wait]) -> Iterator[str]:
-    """Sentences on the ratio of each measure with something to without it."""
+def compared(name: str, base: list[Wait], loaded: list[Wait]) -> Iterator[str]:
+    """Sentences on the ratio of each measure with and without the load."""
     for of in ("wait_s", "after_cpu_s", "hold_cpu"):
-        without, with_it = (np.array([getattr(w, of) for w in ws]) for ws in (base, found))
+        without, with_it = (np.array([getattr(w, of) for w in ws]) for ws in (base, loaded))
         low, middle, high = np.nanquantile(with_it / without, [0.25, 0.5, 0.75])
         medians = np.nanmedian(with_it) / np.nanmedian(without)
         yield (

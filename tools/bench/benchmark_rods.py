@@ -3,15 +3,15 @@
     python -m tools.bench.benchmark_rods FILE.csv [--small] [--table FOLDER]
 
 For each task (`bench_task.rod_tasks`) and entrant (`rod_entrants.entrants`), settings are tried in
-the order of their work, up to a budget of work or until 1 µm rms is reached.  Settings that only
-continue a series which no longer improves are left out.  The cheapest within a tolerance is the
+the order of their work, up to a budget of work or until 1 µm rms is reached.  Settings of a series
+that no longer improves are skipped.  The cheapest within a tolerance is the
 first of that order, so that two runs choose the same settings.  Times are the CPU time of all
-threads, the shortest of three runs, or of one that takes a second.  Rows that FILE has are kept.
+threads, the shortest of three runs, or of one that takes a second.  Existing rows of FILE are kept.
 
-Tips are compared with the engine's on two fine meshes, extrapolated; `reference_um` is how far the
-finer mesh is from that, and `peer_um` how far MuJoCo is, itself extrapolated.  Two more tasks: cost
-against segments, and a swing without damping, whose energy should stay (`energy_percent`: change
-over 8 s of the mean square of the tip's speed, relative to the reference's).
+Tips are compared with the engine's on two fine meshes, extrapolated; `reference_um` is the
+finer mesh's difference from that, `peer_um` that of MuJoCo, itself extrapolated.  Two more tasks:
+cost against segments, and a swing without damping, whose energy should be constant
+(`energy_percent`: change over 8 s of the tip's mean square speed, relative to the reference's).
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ from tools.bench.rod_entrants import (
 from tools.studies.rows import added_rows, read_rows, write_measured
 
 TOLERANCES_UM = (50.0, 10.0, 1.0)
-#: A series of settings has ended if two refinements gain less.
+#: A series of settings ends if two refinements gain less.
 GAIN, COST_STEP_S = 0.1, 1.25e-3
 SWING_S, WINDOW_S = 10.0, 2.0
-#: Who takes longer is not measured again, s.
+#: Longest run that is measured repeatedly, s.
 SLOW_S = 4.0
 COMMAND = "make benchmark-rods"
 
 
 @dataclass(frozen=True)
 class RodExtent:
-    """How much is computed.
+    """Extent of a benchmark.
 
-    budget_s  work of a search, s
+    budget_s  budget of a search, s
     coarse    segments and step, s, of the reference; its fine mesh and step are half of them
     peer      MuJoCo's segments, and steps per period of the times, of its limit; and twice both
     segments  meshes whose cost is measured
@@ -105,7 +105,7 @@ class RodRow:
 
 @dataclass(frozen=True, eq=False)
 class RodReference:
-    """Tips, (lanes, times, 2), m, and how far others are from them, µm."""
+    """Tips, (lanes, times, 2), m, and their uncertainties, µm."""
 
     tips: np.ndarray
     own_um: float = nan
@@ -154,7 +154,7 @@ def tried(task: RodTask, entrant: RodEntrant, setting: RodSetting, exact: RodRef
     tips, cpu_s, wall_s = timed(entrant.runner(task, setting))
     lanes, energy = len(task.models), nan
     if task.times_s[-1] > SWING_S - 1.0:
-        energy = 100.0 * (kept(tips, task) / kept(exact.tips, task) - 1.0)
+        energy = 100.0 * (energy_ratio(tips, task) / energy_ratio(exact.tips, task) - 1.0)
     return RodRow(
         task.name, entrant.name, versions(entrant), setting.segments,
         round(1e3 * setting.step_s, 6), setting.kind, round(1e6 * tip_error(tips, exact.tips), 3),
@@ -165,7 +165,7 @@ def tried(task: RodTask, entrant: RodEntrant, setting: RodSetting, exact: RodRef
     )  # fmt: skip
 
 
-def kept(tips: np.ndarray, task: RodTask) -> float:
+def energy_ratio(tips: np.ndarray, task: RodTask) -> float:
     """Mean square of the tip's speed at the end over that after the motion; nan: it diverged."""
     if not np.all(np.isfinite(tips)):
         return nan
@@ -184,7 +184,7 @@ def searched(
 ) -> Iterator[tuple[RodRow, RodSetting]]:
     """Rows in the order of their work, until the smallest tolerance is reached.
 
-    segments  the only mesh, if it is given
+    segments  the only mesh; None = all
     """
     errors: dict[tuple[object, ...], list[float]] = {}
     for setting in sorted(entrant.settings(task), key=lambda s: s.work_s):
@@ -212,19 +212,19 @@ def benchmark(
     peer, usual = there.get("MuJoCo"), tasks[0]
 
     def fresh() -> Iterator[RodRow]:
-        found: list[RodRow] = []
+        computed: list[RodRow] = []
         for task in tasks:
             exact = cache(lambda task=task: reference(task, peer, extent))
             for entrant in there.values():
                 for row, _ in searched(task, entrant, exact, extent.budget_s, known):
-                    found.append(row)
+                    computed.append(row)
                     yield row
         same = [(n, COST_STEP_S, kind) for n in extent.segments
                 for kind in ("damping 0.8", "implicitfast")]  # fmt: skip
         yield from fixed(replace(usual, name="cost of segments"), same, there, known)
         undamped = on_offsets("undamped swing", CableModel.uniform(CABLE, 3e-5), offsets=3)
         undamped = replace(undamped, times_s=np.arange(0.0, SWING_S, usual.period_s))
-        chosen = [cheapest(found, usual.name, name, TOLERANCES_UM[0]) for name in there]
+        chosen = [cheapest(computed, usual.name, name, TOLERANCES_UM[0]) for name in there]
         best = [(r.segments, 1e-3 * r.step_ms, r.kind) for r in chosen if r]
         yield from fixed(undamped, best, there, known)
 
@@ -241,7 +241,7 @@ def fixed(
     there: dict[str, RodEntrant],
     known: dict[tuple[object, ...], RodRow],
 ) -> Iterator[RodRow]:
-    """Rows of given settings, by the entrants that offer their kind."""
+    """Rows of fixed settings, by the entrants that offer their kind."""
     finest = RodSetting(80, 2.5e-4, "damping 1.0")
     exact = cache(lambda: RodReference(EngineEntrant().runner(task, finest)()))
     kinds = {name: {s.kind for s in entrant.settings(task)} for name, entrant in there.items()}
@@ -253,7 +253,7 @@ def fixed(
 
 
 def ordered(rows: Sequence[RodRow], there: dict[str, RodEntrant]) -> list[RodRow]:
-    """Rows by task, entrant and work: a run that went on with a larger budget has them mixed."""
+    """Rows by task, entrant and work: a run continued with a larger budget has them mixed."""
     tasks = rod_tasks()
     work_s = {
         key_of(task, entrant, s): s.work_s
@@ -278,8 +278,8 @@ def summary(
 ) -> Iterator[dict[str, object]]:
     """A row per task: the engine's cost at each tolerance, and its peers' as multiples of it.
 
-    Those chosen are measured again, in turns.  A peer that does not reach a tolerance has its
-    smallest error there, and the ratio of the setting with it.
+    The chosen settings are measured again, alternately.  A peer that does not reach a tolerance has
+    its smallest error there, and the ratio of its setting.
     """
     for task in (t for t in rod_tasks().values() if any(r.task == t.name for r in rows)):
         here = [r for r in rows if r.task == task.name]
@@ -291,14 +291,14 @@ def summary(
             own = chosen["engine"]
             for name in (*there, *absent):
                 mine = [r for r in here if r.entrant == name and isfinite(r.rms_um)]
-                said = absent.get(name, "not run")
+                text = absent.get(name, "not run")
                 best = reached.get(name) or min(mine, key=lambda r: r.rms_um, default=None)
                 cost_ms = cpu_ms.get(name, best.cpu_ms if best else nan)
                 ratio = f"{cost_ms / cpu_ms['engine']:.3g}" if own and best else ""
                 if best:
                     few = f"best {best.rms_um:.{0 if best.rms_um >= 20.0 else 1}f} µm"
-                    said = ratio if own and name in reached else few
-                row[f"{name}_{limit:g}"] = said
+                    text = ratio if own and name in reached else few
+                row[f"{name}_{limit:g}"] = text
                 row[f"{name}_ratio_{limit:g}"] = ratio
                 row[f"{name}_setting_{limit:g}"] = best.text if best else ""
             row[f"engine_ms_{limit:g}"] = f"{cpu_ms['engine']:.4g}" if own else ""
@@ -312,19 +312,19 @@ def summary(
 def _in_turns(
     task: RodTask, rows: dict[str, RodRow], there: dict[str, RodEntrant]
 ) -> dict[str, float]:
-    """CPU time per simulated second of a lane, ms; of slow ones that of their row."""
-    found = {name: row.cpu_ms for name, row in rows.items()}
+    """CPU time per simulated second of a lane, ms; for slow settings that of their row."""
+    times_ms = {name: row.cpu_ms for name, row in rows.items()}
     fast = [name for name, row in rows.items() if row.run_cpu_s < SLOW_S]
     runs = [
         there[n].runner(task, RodSetting(r.segments, 1e-3 * r.step_ms, r.kind))
         for n, r in rows.items() if n in fast
     ]  # fmt: skip
     times_s = best_of(*runs, rounds=5, clock=time.process_time)
-    return found | {n: 1e3 * s / task.simulated_s for n, s in zip(fast, times_s, strict=True)}
+    return times_ms | {n: 1e3 * s / task.simulated_s for n, s in zip(fast, times_s, strict=True)}
 
 
 def frontier(rows: Sequence[RodRow]) -> Iterator[RodRow]:
-    """Rows of which none before, of the same task and entrant, is as good; and fixed settings."""
+    """Rows that are better than all earlier ones of the task and entrant; and fixed settings."""
     least: dict[tuple[str, str], float] = {}
     for row in rows:
         key = row.task, row.entrant
@@ -345,9 +345,9 @@ def main() -> int:
     extent = SMALL if options.small else FULL
     extent = replace(extent, budget_s=options.budget_s or extent.budget_s)
     options.file.parent.mkdir(parents=True, exist_ok=True)
-    found = entrants()
-    absent = {name: e for name, e in found.items() if isinstance(e, str)}
-    there = {name: e for name, e in found.items() if not isinstance(e, str)}
+    available = entrants()
+    absent = {name: e for name, e in available.items() if isinstance(e, str)}
+    there = {name: e for name, e in available.items() if not isinstance(e, str)}
     for _ in benchmark(options.file, there, [rod_tasks()[name] for name in names], extent):
         pass
     tried_rows, table = ordered(read_rows(options.file, RodRow), there), []
@@ -357,8 +357,8 @@ def main() -> int:
         print(f"{row['condition']}: reference within {row['reference_um']} µm, MuJoCo's limit "
               f"{row['peer_um']} µm from it")  # fmt: skip
         for limit in TOLERANCES_UM:
-            said = ", ".join(f"{name} {row[f'{name}_{limit:g}']}" for name in found)
-            print(f"  {limit:g} µm: {said}; {row[f'engine_ms_{limit:g}']} ms of CPU per second")
+            ratios = ", ".join(f"{name} {row[f'{name}_{limit:g}']}" for name in available)
+            print(f"  {limit:g} µm: {ratios}; {row[f'engine_ms_{limit:g}']} ms of CPU per second")
     if options.table:
         options.table.mkdir(parents=True, exist_ok=True)
         write_measured(options.table / "rods_summary.csv", table, COMMAND)

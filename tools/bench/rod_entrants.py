@@ -27,10 +27,10 @@ DIVISORS = (1, 2, 3, 4, 5, 6, 8, 10, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
 
 @dataclass(frozen=True)
 class RodSetting:
-    """How an entrant computes a task.
+    """Setting of an entrant for a task.
 
-    kind    integrator, or what else is chosen
-    work_s  CPU time that the task takes about, s; a formula, so that each run has the same order
+    kind    integrator, or other option
+    work_s  estimated CPU time of the task, s; a formula, so that each run has the same order
     tied    whether the step is the longest that the mesh allows
     """
 
@@ -41,22 +41,22 @@ class RodSetting:
     tied: bool = False
 
     def series(self) -> list[tuple[object, ...]]:
-        """What this setting continues: refined steps of a mesh, refined meshes with a step."""
+        """Series of this setting: refined steps of a mesh, refined meshes with a step."""
         steps = ("steps", self.segments, self.kind)
         return [steps, ("meshes", 0.0 if self.tied else self.step_s, self.kind)]
 
 
 class RodEntrant(Protocol):
-    """A simulator.  `package`: what is installed."""
+    """A simulator.  `package`: its distribution."""
 
     name: str
     package: str
 
     def settings(self, task: RodTask) -> Iterator[RodSetting]:
-        """All that may be searched."""
+        """All settings of the search."""
 
     def runner(self, task: RodTask, setting: RodSetting) -> Run:
-        """The task, ready to run: what returns is nan if it diverged."""
+        """The task, ready to run; its result is nan if it diverges."""
 
 
 class EngineEntrant:
@@ -76,35 +76,35 @@ class EngineEntrant:
 
     def runner(self, task: RodTask, setting: RodSetting) -> Run:
         solver = Solver(setting.segments, setting.step_s, float(setting.kind.split()[1]))
-        arc, one = np.array([task.cable.free_length_m]), len({*map(id, task.models)}) == 1
-        models = task.models[0] if one else task.models
+        arc, model = np.array([task.cable.free_length_m]), len({*map(id, task.models)}) == 1
+        models = task.models[0] if model else task.models
 
         def run() -> np.ndarray:
             try:
-                found = simulate(models, task.motions, task.times_s, arc, solver=solver)
+                simulated = simulate(models, task.motions, task.times_s, arc, solver=solver)
             except (DivergedError, UnsettledError):
                 return np.full((len(task.models), task.times_s.size, 2), np.nan)
-            return found[:, :, 0]
+            return simulated[:, :, 0]
 
         return run
 
 
 def entrants() -> dict[str, RodEntrant | str]:
-    """All entrants by name; why, if one cannot be had."""
-    found: dict[str, RodEntrant | str] = {"engine": EngineEntrant()}
+    """All entrants by name; a reason in place of a missing one."""
+    by_name: dict[str, RodEntrant | str] = {"engine": EngineEntrant()}
     try:
         from tools.bench.bench_mujoco import MujocoEntrant
 
-        found["MuJoCo"] = MujocoEntrant()
+        by_name["MuJoCo"] = MujocoEntrant()
     except ImportError as error:
-        found["MuJoCo"] = f"not installed ({error})"
+        by_name["MuJoCo"] = f"not installed ({error})"
     try:
         from tools.bench.bench_elastica import ElasticaEntrant
 
-        found["PyElastica"] = ElasticaEntrant()
+        by_name["PyElastica"] = ElasticaEntrant()
     except ImportError as error:
-        found["PyElastica"] = f"not installed ({error})"
-    return found
+        by_name["PyElastica"] = f"not installed ({error})"
+    return by_name
 
 
 def versions(entrant: RodEntrant) -> str:

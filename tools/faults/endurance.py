@@ -24,7 +24,7 @@ from cell.wiring.build import cell_with, real_devices
 from cell.wiring.emulated import EmulatedCell
 from tools.faults.short_cycles import short_cycles
 
-#: Waits that just leave enough to identify a cable, s.
+#: Shortest waits with which a cable can be identified, s.
 SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}
 #: Growth that counts as none over 500 cycles: KiB, threads, handles.
 FLAT = (10_240.0, 1.0, 1.0)
@@ -49,18 +49,18 @@ def held_by(pid: int) -> ResourceUse:
 
 def report(name: str, rows: list[ResourceUse]) -> bool:
     """Print the growth of resources per cycle after the first tenth; returns whether it is flat."""
-    kept, flat = rows[len(rows) // 10 :], True
-    if len(kept) < 3:  # too few for a slope
+    later, flat = rows[len(rows) // 10 :], True
+    if len(later) < 3:  # too few for a slope
         return True
-    columns = zip(*map(astuple, kept), strict=True)
-    for what, unit, most, values in zip(("memory", "threads", "handles"), ("KiB", "", ""), FLAT,
+    columns = zip(*map(astuple, later), strict=True)
+    for quantity, unit, most, values in zip(("memory", "threads", "handles"), ("KiB", "", ""), FLAT,
                                         columns, strict=True):  # fmt: skip
         fit = linregress(np.arange(len(values)), values)
         error = float(np.nan_to_num(fit.stderr))  # nan where nothing changes
         holds = 500.0 * (fit.slope - 2.0 * error) <= most
         flat &= bool(holds)
         print(
-            f"  {name:6s} {what:8s} {values[0]:8d} → {values[-1]:8d} {unit:4s} "
+            f"  {name:6s} {quantity:8s} {values[0]:8d} → {values[-1]:8d} {unit:4s} "
             f"slope {fit.slope:+.4f} ± {2.0 * error:.4f} per cycle  "
             f"{'flat' if holds else 'GROWS'}"
         )

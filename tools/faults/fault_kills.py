@@ -22,7 +22,7 @@ STILL_S = 0.2
 
 @dataclass(frozen=True)
 class KilledProcess:
-    """A process that was killed, when, and how long the arm moved after that, s."""
+    """A killed process, the time of the kill, and the duration of the arm's motion after it, s."""
 
     victim: str
     after_s: float
@@ -39,11 +39,11 @@ def kill_somebody(
     began_s, delay_s = time.monotonic(), rng.uniform(0.0, 0.25)
     moves = rng.choice([1, 2, 3])  # lower, execute, go home
     try:
-        seen, moving = 0, False
-        while seen < moves and cell.poll() is None:
+        motions, moving = 0, False
+        while motions < moves and cell.poll() is None:
             speed = np.linalg.norm(emulated.controller.request("state")["speed"][:3])
             if speed > 0.02 and not moving:
-                seen += 1
+                motions += 1
             moving = bool(speed > 0.02)
             time.sleep(0.004)
         time.sleep(delay_s)
@@ -66,9 +66,9 @@ def kill_somebody(
 
 def _arm_processes(pid: int) -> list[int]:
     """The processes of the arm's client that a cell has started."""
-    found = []
+    children = []
     for child in family(pid)[1:]:
         with contextlib.suppress(OSError):  # it has ended
             if "ur_child" in Path(f"/proc/{child}/cmdline").read_text():
-                found.append(child)
-    return found
+                children.append(child)
+    return children

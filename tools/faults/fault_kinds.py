@@ -30,7 +30,7 @@ Act = Callable[[Victim], None]
 
 @dataclass(frozen=True)
 class Kind:
-    """A fault: how it is caused and how a person ends it."""
+    """A fault: its cause, and its repair by a person."""
 
     device: str
     fault: str
@@ -47,7 +47,7 @@ class FaultTrial:
     reaction_s  from the fault, or from the beginning of the step that needs the device, until the
                 arm was commanded to stop; None = there was nothing to stop
     moved_on_s  from the same moment until the emulated arm stood still
-    wrong       one sentence for each thing that may not be; empty = passed
+    wrong       one sentence for each violation; empty = passed
     """
 
     kind: Kind
@@ -111,7 +111,7 @@ def _gripper_off_and_on(victim: Victim) -> None:
 
 
 def _later(victim: Victim) -> None:
-    """It comes back by itself."""
+    """No repair: the device returns by itself."""
     time.sleep(OFF_S + 0.2)
 
 

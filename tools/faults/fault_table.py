@@ -13,7 +13,7 @@ import numpy as np
 from tools.faults.fault_kills import STILL_S, KilledProcess
 from tools.faults.fault_kinds import FaultTrial
 
-#: Columns of the table; `goal`: 99 % of all trials stop within that.
+#: Columns of the table; `goal`: limit for 99 % of all trials.
 COLUMNS = ("condition", "n", "passed", "stop_median_ms", "stop_p99_ms", "stop_largest_ms", "goal",
            "largest_in_step", "still_largest_ms")  # fmt: skip
 
@@ -25,7 +25,7 @@ def stop_percentiles_ms(trials: Sequence[FaultTrial], *q: float) -> list[float]:
 
 
 def summary(trials: Sequence[FaultTrial], kills: Sequence[KilledProcess]) -> list[str]:
-    """Sentences: how many passed, how fast all stood still, and how busy the computer is."""
+    """Sentences: number of passed trials, times to standstill, and load of the computer."""
     good, repeated = sum(not t.wrong for t in trials), sum(t.attempts > 1 for t in trials)
     lines = [f"{good} of {len(trials)} trials passed, {repeated} of them not at the first attempt."]
     median, p99, largest = stop_percentiles_ms(trials, 50.0, 99.0, 100.0)
@@ -77,7 +77,7 @@ def failures(trials: Sequence[FaultTrial]) -> list[str]:
 
 
 def markdown(lines: Sequence[Sequence[str]]) -> str:
-    """The table, to read."""
+    """The table as Markdown."""
     head = [COLUMNS, ["---"] * len(COLUMNS)]
     return "\n".join(f"| {' | '.join(line)} |" for line in [*head, *lines])
 

@@ -1,14 +1,14 @@
 """Every device × every step of a cycle × every fault, against the emulators: `make fault-trials`.
 
 A trial injects a fault when a step begins (in steps that move: when the arm moves) and demands:
-the cell stops and names device, step and remedy; the record is closed and says the same; the jaws
-hold what they held; and after the person's repair and acknowledgement the next cycle inserts.
+the cell stops and names device, step and remedy; the record is closed and agrees; the jaws still
+hold the cable; and after the person's repair and acknowledgement the next cycle inserts.
 Then processes of the cell are killed at random moments, and the emulated arm must stand 200 ms
 later.  A table for each device and fault is printed, and written as CSV with `-o`.
 
-With `--revising` insertions are corrected in flight, all of them, and the faults of the step
-`execute` happen while the arm is told a change of its path.  With `--plant` OPC UA with five
-clients, MQTT with a broker, and the handshake follow the cell meanwhile.
+With `--revising` all insertions are corrected in flight, and the faults of the step `execute`
+happen while a change of its path is sent to the arm.  With `--plant` OPC UA with five clients, MQTT
+with a broker, and the handshake follow the cell meanwhile.
 """
 
 from __future__ import annotations
@@ -59,35 +59,35 @@ TABLE = ROOT / "docs" / "measured" / "fault_trials.csv"
 BAR_S = 0.1
 #: Waits and hold, s.
 SHORT = {"calm_s": 0.1, "still_s": 0.3, "hold_s": 0.5, "decide_s": 0.5, "settle_s": 0.1}
-#: How long the gripper's driver waits for an answer, as shipped; in the gripper's own trials.
+#: Time limit of the gripper's driver for an answer, as shipped; in the gripper's own trials.
 SHIPPED_S = SerialGripperOptions("").reply_s
-#: Steps in which a fault waits until the arm moves.
+#: Steps in which a fault is delayed until the arm moves.
 MOVING = ("lower", "execute", "go_home")
-#: Steps at whose end a cable is held if it was at their beginning.
+#: Steps that do not change whether a cable is held.
 HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
 
 
 def all_trials() -> list[FaultTrial]:
-    found = []
+    trials = []
     for kind in KINDS:
         if kind.fault == "refuses to connect":
-            found.append(FaultTrial(kind, "connect"))
+            trials.append(FaultTrial(kind, "connect"))
             continue
         steps = INSERTING.names
         if kind.drops_cable:
             steps = ("grasp", *HOLDING)
-        found += [
+        trials += [
             FaultTrial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")
         ]
         if not kind.at_connect:
-            found = [t for t in found if not (t.kind is kind and t.step == "connect")]
-    return found
+            trials = [t for t in trials if not (t.kind is kind and t.step == "connect")]
+    return trials
 
 
 class FaultRig:
     """Emulators, real drivers and the cell around them.
 
-    revising  a fault in `execute` waits until the arm is told a change of its path
+    revising  a fault in `execute` is delayed until a change of its path is sent to the arm
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class FaultRig:
         self.plant = PlantEnd(BuiltCell(self.cell, Products(settings)), runs, settings)
 
     def be_patient(self, silent_s: float, device: str = "") -> None:
-        """Change how long the drivers of gripper and camera wait, but not that of `device`."""
+        """Change the time limits of the drivers of gripper and camera, except that of `device`."""
         gripper, camera = self.devices.gripper, self.devices.camera
         reply_s = SHIPPED_S if device == "gripper" else silent_s
         gripper._options = replace(gripper._options, reply_s=reply_s)
@@ -189,7 +189,7 @@ def run_trial(bench: FaultRig, trial: FaultTrial) -> None:
     trial.begin()
     if trial.step == "connect":
         bench.cell.close()
-    bench.cell._steps.repeat([trial.step])  # what is done in the first cycle only, too
+    bench.cell._steps.repeat([trial.step])  # also if it is done in the first cycle only
     bench.trial = trial
     bench.stopped_s.clear()
     bench.be_patient(bench.patience_s, trial.kind.device)
@@ -227,7 +227,7 @@ def judge(bench: FaultRig, trial: FaultTrial, result: Result) -> None:
     record = read_record(Path(result.folder))
     if not record.closed or record.result != result or record.step != fault.step:
         trial.wrong.append("the record does not say so")
-    # a device that fails while nobody needs it is noticed when it is needed
+    # the fault of an idle device is detected when it is used
     needed_s = max(trial.given_s, bench.began_s.get(fault.step, 0.0))
     if trial.kind.fault == "freezes" and trial.kind.device == "camera":
         needed_s = max(needed_s, bench.filmed_s)  # nobody compares pictures that are not recorded
@@ -247,10 +247,10 @@ def judge(bench: FaultRig, trial: FaultTrial, result: Result) -> None:
 
 
 def small_change(
-    answers: Response, beside: Deviation, destination: object, from_s: float, *asked: object
+    answers: Response, deviation: Deviation, destination: object, from_s: float, *arguments: object
 ) -> Tail:
     """Correction for trials: 0.3 mm up, at every decision."""
-    return Tail(from_s, 3e-4, 0.0, 0.2, 1.0, 0.0, 1.0, answers.nodes_m[:, 0] + beside.tip_m)
+    return Tail(from_s, 3e-4, 0.0, 0.2, 1.0, 0.0, 1.0, answers.nodes_m[:, 0] + deviation.tip_m)
 
 
 # --- all of it ------------------------------------------------------------------------------------
@@ -301,8 +301,8 @@ def main() -> int:
                     print(f"         again: {'; '.join(trial.wrong)}", flush=True)
                     run_trial(bench, trial)
                 stop = "" if trial.reaction_s is None else f"{1e3 * trial.reaction_s:5.0f} ms"
-                said = "passed" if not trial.wrong else "; ".join(trial.wrong)
-                print(f"{number:3d}/{len(chosen)} {trial.name:48s} {stop:9s} {said}", flush=True)
+                verdict = "passed" if not trial.wrong else "; ".join(trial.wrong)
+                print(f"{number:3d}/{len(chosen)} {trial.name:48s} {stop:9s} {verdict}", flush=True)
             link.close()
             bench.cell.close()
             if arguments.revising:

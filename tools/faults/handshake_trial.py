@@ -1,7 +1,7 @@
 """A simulated cell, `cell handshake` and a PLC that misbehaves, three processes: `make handshake`.
 
-Every fifth cycle is aborted, as by a person.  Afterwards what the PLC said and was told is
-compared with what the cell did.  Ends with 1 if the cell did anything that it may not.
+Every fifth cycle is aborted, as by a person.  Afterwards the signals of the PLC are compared with
+the actions of the cell.  Ends with 1 if the cell violated the protocol.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from tools.faults.scripted_plc import (
 from tools.processes import free_port, listens, running, wait_until
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
-#: A person aborts every so many-th cycle, while the cable is lowered.
+#: Interval of the cycles that a person aborts, while the cable is lowered.
 ABORTED_EVERY = 5
-#: An opening in which some cables are not inserted: the PLC has to be told that, too.
+#: An opening in which some cables are not inserted, to test the report of that, too.
 NARROW_M = [-0.107, -0.105]
-#: What the PLC is told of an outcome.
-TOLD = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
-#: The service begins within this, s: on a new computer it compiles.
+#: Signal to the PLC for an outcome.
+REPORTED = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
+#: Time limit for the start of the service, s: on a new computer it compiles.
 _BEGIN_S = 180.0
 
 
 @dataclass(frozen=True)
 class HandshakeFindings:
-    """What the cell did, compared with what the PLC requested.
+    """Comparison of the cell's actions with the PLC's requests.
 
-    wrong  one sentence for everything that it may not do
+    wrong  one sentence for each violation
     """
 
     cycles: int
@@ -60,21 +60,21 @@ class HandshakeFindings:
     wrong: tuple[str, ...]
 
 
-def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> HandshakeFindings:
-    """Compare what the PLC sent and received with what happened in the cell.
+def compared(plc_log: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> HandshakeFindings:
+    """Compare the signals of the PLC with the notices of the cell.
 
-    said      lines of the scripted PLC
-    happened  in the cell, since before the first of them
+    plc_log   lines of the scripted PLC
+    happened  notices of the cell, from before the first line on
     """
-    cycles = [entry for entry in said if "told" in entry]
+    cycles = [entry for entry in plc_log if "told" in entry]
     states = [n for n in happened if n.kind is MessageKind.STATE]
     starts = [n for n in states if n.data["state"] == CellState.STARTING]
     results = [n.data["outcome"] for n in happened if n.kind is MessageKind.RESULT]
-    wrong = [*_wrong_starts(said, happened)]
+    wrong = [*_wrong_starts(plc_log, happened)]
     if len(starts) != len(cycles):
         wrong.append(f"{len(cycles)} cycles were wanted, and {len(starts)} made")
     for number, (cycle, outcome) in enumerate(zip(cycles, results, strict=False), 1):
-        if cycle["told"] != TOLD.get(outcome, "fault"):
+        if cycle["told"] != REPORTED.get(outcome, "fault"):
             wrong.append(f"cycle {number} was {outcome}, and the PLC was told {cycle['told']}")
     if len(results) != len(cycles):
         wrong.append(f"{len(cycles)} outcomes were told, and there were {len(results)}")
@@ -84,8 +84,8 @@ def compared(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Hand
     )
 
 
-def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Iterator[str]:
-    """Starts without what they need, and what moves after a fault that nobody acknowledged."""
+def _wrong_starts(log: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> Iterator[str]:
+    """Starts without their conditions, and motions before a fault is acknowledged."""
     faulted = False
     for notice in happened:
         match notice.kind:
@@ -102,7 +102,7 @@ def _wrong_starts(said: Sequence[dict[str, Any]], happened: Sequence[Notice]) ->
                     yield f"{state} after a fault without an acknowledgement"
                 if state != CellState.STARTING:
                     continue
-                before = [e["said"] for e in said if "said" in e and e["time_s"] <= notice.time_s]
+                before = [e["said"] for e in log if "said" in e and e["time_s"] <= notice.time_s]
                 now = before[-1] if before else dict.fromkeys(INPUTS, False)
                 for name in ("start", "part_present", "upstream_ready", "downstream_ready"):
                     if not now[name]:
@@ -143,7 +143,7 @@ class Follower:
 
 
 def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindings:
-    """Run `cycles` cycles over one carrier of the handshake, in the given folder."""
+    """Run `cycles` cycles over one carrier of the handshake, in a folder."""
     controller = carrier == "controller"
     port = free_port()
     handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}
@@ -153,17 +153,17 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
     settings["destination"]["y_m"] = NARROW_M
     config, runs = folder / "cell.yaml", folder / "runs"
     config.write_text(yaml.safe_dump(settings), encoding="utf-8")
-    given = ["-c", str(config)]
+    options = ["-c", str(config)]
     with ExitStack() as stack:
         stack.enter_context(EmulatedController(host) if controller else nullcontext())
         if controller:
             Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
-        run = ("cell", "run", *given, "--cycles", "forever", "--runs", str(runs))
+        run = ("cell", "run", *options, "--cycles", "forever", "--runs", str(runs))
         stack.enter_context(running(*run, log=folder / "cell.log"))
         client = Client(runs).connect(wait_s=_BEGIN_S)
         follower = Follower(client)
         assert follower.is_idle.wait(_BEGIN_S), "the cell is not ready"
-        serve = ("cell", "-v", "handshake", *given, "--runs", str(runs))
+        serve = ("cell", "-v", "handshake", *options, "--runs", str(runs))
         stack.enter_context(running(*serve, log=folder / "handshake.log"))
         if not controller:
             wait_until(lambda: listens(port))
@@ -171,12 +171,14 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
         plc = [sys.executable, "-m", "tools.faults.scripted_plc", place, str(cycles)]
         done = subprocess.run(plc, stdout=subprocess.PIPE, text=True)
         follower.end()
-        said = [json.loads(line) for line in done.stdout.splitlines()]
+        plc_log = [json.loads(line) for line in done.stdout.splitlines()]
         (folder / "plc.jsonl").write_text(done.stdout, encoding="utf-8")
-        found = compared(said, follower.happened)
+        result = compared(plc_log, follower.happened)
         if done.returncode != 0:
-            found = HandshakeFindings(**{**vars(found), "wrong": (*found.wrong, "the PLC gave up")})
-    return found
+            result = HandshakeFindings(
+                **{**vars(result), "wrong": (*result.wrong, "the PLC gave up")}
+            )
+    return result
 
 
 def main() -> int:
@@ -192,16 +194,16 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as temporary:
             folder = arguments.keep / carrier if arguments.keep else Path(temporary)
             folder.mkdir(parents=True, exist_ok=True)
-            found = trial(carrier, arguments.cycles, arguments.host, folder)
-        outcomes = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
+            findings = trial(carrier, arguments.cycles, arguments.host, folder)
+        outcomes = ", ".join(f"{count} {name}" for name, count in sorted(findings.outcomes.items()))
         print(
-            f"{carrier:10s} {found.cycles} cycles wanted, {found.starts} made: {outcomes}; "
-            f"{found.suspensions} suspensions; {len(found.wrong)} wrong",
+            f"{carrier:10s} {findings.cycles} cycles wanted, {findings.starts} made: {outcomes}; "
+            f"{findings.suspensions} suspensions; {len(findings.wrong)} wrong",
             flush=True,
         )
-        for sentence in found.wrong:
+        for sentence in findings.wrong:
             print(f"  {sentence}", flush=True)
-        failed |= bool(found.wrong) or found.cycles != arguments.cycles
+        failed |= bool(findings.wrong) or findings.cycles != arguments.cycles
     return int(failed)
 
 

@@ -1,9 +1,8 @@
-"""Kills recording cells at random moments, and measures what `cell recover` gives back.
+"""Kills recording cells at random moments, and measures what `cell recover` recovers.
 
-A child runs simulated cycles at the speed of reality, and says in memory that both share what time
-its clock shows, and when the frame was taken that it has read last.  After SIGKILL of the child, or
-of the child and its recorder at once, the last pose and the last frame of its recording are
-compared with that.
+A child runs simulated cycles in real time, and writes to shared memory the time of its clock, and
+the timestamp of the last frame that it has read.  After SIGKILL of the child, or of the child and
+its recorder at once, the last pose and the last frame of its recording are compared with that.
 
     python -m tools.faults.kill_study --kills 100 kills.csv
 """
@@ -38,7 +37,7 @@ from tools.processes import family
 from tools.studies.rows import added_rows
 
 ROOT = Path(__file__).parents[2]
-#: So much may be lost, s.
+#: Largest permitted loss, s.
 MOST_LOST_S = 0.05
 
 _CHILD = """
@@ -79,16 +78,16 @@ for number in range(1, 101):
 
 @dataclass(frozen=True)
 class KilledCell:
-    """What was recovered of one killed cell.
+    """Recovered data of one killed cell.
 
     after_s   since its first cable was grasped, by the computer's clock
     both      whether the recorder was killed at the same time
-    step      in which the cell was
+    step      current step of the cell
     poses_lost_s    from the last recorded pose, or the beginning of the recording if that was
-                    later, to the moment of the kill
+                    later, to the kill
     frames_lost_s   from the last recorded frame to the last that the cell has read; nan = none
-    finished_cycles, results   cycles that say they are closed; those with a result
-    listed, listed_wrong   cycles in the ledger; those that it calls finished without a result
+    finished_cycles, results   cycles marked as closed; those with a result
+    listed, listed_wrong   cycles in the ledger; those listed as finished without a result
     """
 
     number: int
@@ -107,7 +106,7 @@ class KilledCell:
 def kill_once(
     config: Path, runs: Path, number: int, after_s: float, both: bool, speed: float = 1.0
 ) -> KilledCell:
-    """Run a cell, kill it so long after it grasps, and recover the recording.
+    """Run a cell, kill it some time after it grasps, and recover the recording.
 
     speed   of the simulated world; at 1 a busy computer falls behind, and then makes up for it
     raises  RuntimeError: the cell ended by itself, or nothing could be recovered, or the ledger
@@ -139,12 +138,12 @@ def kill_once(
         recover_in_place(torn)
     folders = sorted(runs.iterdir())
     recordings = [read_recording(f) for f in folders]
-    frames = [said["t_s"] for one in recordings for said in one.json(form.FRAME)]
+    frames = [message["t_s"] for one in recordings for message in one.json(form.FRAME)]
     recording = recordings[-1]
     states = list(recording.json(form.STATE))
     closed = [f for f in folders if '"closed": true' in (f / "state.json").read_text()]
     results = [f for f in folders if (f / "result.json").exists()]
-    listed = _listed(runs)
+    listed = _ledger_cycles(runs)
     ended = [c for c in listed if c.outcome != UNFINISHED]
     return KilledCell(
         number,
@@ -161,8 +160,8 @@ def kill_once(
     )
 
 
-def _listed(runs: Path) -> list[ListedCycle]:
-    """What the ledger lists, as it was left; it is opened as it is, and may not be made yet."""
+def _ledger_cycles(runs: Path) -> list[ListedCycle]:
+    """Cycles in the ledger, which is opened without changes, and may not exist yet."""
     place = runs.with_name(f"{runs.name}.sqlite")
     if not place.exists():
         return []
@@ -200,10 +199,10 @@ def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: fl
 def table(kills: list[KilledCell]) -> str:
     """Sentences on the largest losses."""
     lines = [f"{len(kills)} kills, {sum(k.both for k in kills)} of them with the recorder"]
-    for what in ("poses", "frames"):
-        lost_ms = 1e3 * np.array([getattr(k, f"{what}_lost_s") for k in kills])
+    for kind in ("poses", "frames"):
+        lost_ms = 1e3 * np.array([getattr(k, f"{kind}_lost_s") for k in kills])
         lost_ms = lost_ms[np.isfinite(lost_ms)]
-        line = f"{what}: {np.sum(lost_ms <= 1e3 * MOST_LOST_S)} of {len(lost_ms)} up to "
+        line = f"{kind}: {np.sum(lost_ms <= 1e3 * MOST_LOST_S)} of {len(lost_ms)} up to "
         line += f"{MOST_LOST_S * 1e3:.0f} ms before"
         if len(lost_ms):
             line += f"; median {np.median(lost_ms):.0f} ms, largest {lost_ms.max():.0f} ms"

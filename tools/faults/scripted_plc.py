@@ -1,9 +1,9 @@
-"""A PLC as a program of its own: starts cycles, and misbehaves on purpose.
+"""A PLC as a separate program: starts cycles, and misbehaves on purpose.
 
     python -m tools.faults.scripted_plc modbus:502 50         a Modbus/TCP client
     python -m tools.faults.scripted_plc controller:127.0.0.2 50   wired to an emulated controller
 
-It writes a line of JSON for whatever it says, and for every cycle: its habit, what it was told.
+It writes a line of JSON for every change of its signals, and for every cycle: habit and outcome.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ INPUTS = ("start", "part_present", "upstream_ready", "downstream_ready", "acknow
 OUTPUTS = ("ready", "busy", "done", "rejected", "fault")
 #: A broken wire stops, and reads as a fault.
 INVERTED = ("stop", "fault")
-#: So long it watches that nothing happens, s: several looks of the adapter.
+#: Duration of the test that nothing happens, s: several polls of the adapter.
 WATCHED_S = 0.2
-#: `silence_s` of the settings, s: on a busy computer a PLC has to be waited for.
+#: `silence_s` of the settings, s: long enough for a PLC on a busy computer.
 SILENCE_S = 1.5
-#: A start that is obeyed is told to be within this, s.
+#: Time limit for the answer to a start, s.
 UNANSWERED_S = 8.0
-#: A machine beside the cell is away for so long, s: a pause waits for the end of a motion.
+#: Time for which a neighbouring machine is not ready, s: a pause waits for the end of a motion.
 PAUSED_S = 1.0
-#: No cycle takes longer, s: on a computer under load one took 125 s.
+#: Time limit of a cycle, s: on a computer under load one took 125 s.
 LONGEST_S = 600.0
 
 
@@ -47,19 +47,19 @@ class Wire(Protocol):
     """Bits between the PLC and the cell, in the order of their numbers."""
 
     def write(self, bits: Sequence[bool]) -> None:
-        """Say."""
+        """Write the inputs of the cell."""
 
     def read(self) -> Sequence[bool]:
-        """Hear."""
+        """Read the outputs of the cell."""
 
     def part(self) -> None:
-        """Be away, until `mend`."""
+        """Disconnect, until `mend`."""
 
     def mend(self) -> None:
-        """Be there again."""
+        """Connect again."""
 
     def close(self) -> None:
-        """Be there no more."""
+        """Close the connection."""
 
 
 class ModbusWire:
@@ -114,7 +114,7 @@ class ControllerWire:
 
 
 class Plc:
-    """Signals by their names; a wait for what takes longer than `longest_s` is an error."""
+    """Signals by their names; a wait for longer than `longest_s` is an error."""
 
     def __init__(
         self,
@@ -125,16 +125,16 @@ class Plc:
         self.wire = wire
         self._longest_s = longest_s
         self._log = log
-        self._said = dict.fromkeys(INPUTS, False)
+        self._inputs = dict.fromkeys(INPUTS, False)
 
     def say(self, **signals: bool) -> None:
         if signals:
-            self._said.update(signals)
-            self._log(said=self._said)
-        self.wire.write([self._said[name] is not (name in INVERTED) for name in INPUTS])
+            self._inputs.update(signals)
+            self._log(said=self._inputs)
+        self.wire.write([self._inputs[name] is not (name in INVERTED) for name in INPUTS])
 
     def heard(self) -> dict[str, bool]:
-        """Both directions of a PLC's cycle."""
+        """Write the inputs and read the outputs, as in a PLC's cycle."""
         self.say()
         return self.read()
 
@@ -150,27 +150,27 @@ class Plc:
         return heard
 
     def listen(self, seconds: float) -> Iterator[dict[str, bool]]:
-        """Both directions of its cycles for a while."""
+        """Repeat the PLC's cycle for a time; the outputs of each."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             yield self.heard()
             time.sleep(0.01)
 
     def quiet(self) -> None:
-        """Nothing begins for a while."""
+        """Check that nothing begins for a while."""
         for heard in self.listen(WATCHED_S):
             assert not heard["busy"], "the cell has begun"
 
     def connect(self) -> None:
-        """Say that all is well, and wait until the cell is ready."""
+        """Set the signals of normal operation, and wait until the cell is ready."""
         self.say(part_present=True, upstream_ready=True, downstream_ready=True)
         self.wait(lambda heard: heard["ready"])
 
     def begin(self) -> None:
-        """Start as it should be.
+        """Start a cycle correctly.
 
-        A controller keeps its outputs while nobody sets them: a start without an answer is let
-        fall and given again.
+        A controller keeps its outputs until they are set: `start` is dropped and raised again if
+        there is no answer.
         """
         for _ in range(int(self._longest_s / UNANSWERED_S)):
             self.wait(lambda heard: heard["ready"])
@@ -182,22 +182,22 @@ class Plc:
         raise AssertionError("the cell does not begin")
 
     def outcome(self) -> str:
-        """What is told at the end of a cycle."""
+        """Outcome signal at the end of a cycle."""
         ended = self.wait(has_ended)
         return next(name for name in ("fault", "done", "rejected") if ended[name])
 
     def cycle(self) -> str:
-        """A cycle as it should be; what was told at its end."""
+        """Run a cycle correctly; its outcome signal."""
         self.begin()
         return self.outcome()
 
     def release(self) -> None:
-        """Let start fall."""
+        """Drop start."""
         self.say(start=False)
         self.wait(lambda heard: not (heard["done"] or heard["rejected"]))
 
     def acknowledge(self) -> None:
-        """Press once, and hold as long as a finger does."""
+        """Press once, for as long as a finger does."""
         self.say(acknowledge=True)
         for _ in self.listen(WATCHED_S):
             pass
@@ -208,15 +208,15 @@ def has_ended(heard: dict[str, bool]) -> bool:
     return not heard["busy"] and (heard["done"] or heard["rejected"] or heard["fault"])
 
 
-# --- habits: one cycle each, and what was told at its end ---------------------------------------
+# --- habits: one cycle each, and its outcome signal ---------------------------------------------
 
 
 def held(plc: Plc) -> str:
-    """Habit: start stays on after the cycle; no other cycle may begin."""
-    told = plc.cycle()
-    if told != "fault":
+    """Habit: start stays on after the cycle; no further cycle may begin."""
+    outcome = plc.cycle()
+    if outcome != "fault":
         plc.quiet()
-    return told
+    return outcome
 
 
 def without_part(plc: Plc) -> str:
@@ -233,19 +233,19 @@ def without_part(plc: Plc) -> str:
 def part_taken(plc: Plc) -> str:
     """Habit: the part goes within the cycle, and is missing at the next start.
 
-    That start does nothing, nor does the part when it comes while start is held.
+    That start has no effect, nor has the part that arrives while start is held.
     """
     plc.begin()
     plc.say(part_present=False)
-    told = plc.outcome()
-    if told != "fault":
+    outcome = plc.outcome()
+    if outcome != "fault":
         plc.say(start=False)
         plc.quiet()
         plc.say(start=True)
         plc.quiet()
     plc.say(part_present=True)
     plc.quiet()
-    return told
+    return outcome
 
 
 def twice(plc: Plc) -> str:
@@ -275,11 +275,11 @@ def stopped(plc: Plc) -> str:
     """Habit: the cycle is stopped, and start is tried while stop is held."""
     plc.begin()
     plc.say(start=False, stop=True)
-    told = plc.outcome()
+    outcome = plc.outcome()
     plc.say(start=True)
     plc.quiet()
     plc.say(start=False, stop=False)
-    return told
+    return outcome
 
 
 def lost(plc: Plc) -> str:
@@ -296,7 +296,7 @@ def lost(plc: Plc) -> str:
 
 
 def after_fault(plc: Plc) -> None:
-    """Check that start does nothing before a fault is acknowledged, or if held since before."""
+    """Check that start has no effect before a fault is acknowledged, or if held since before."""
     plc.say(start=False)
     plc.quiet()
     plc.say(start=True)
@@ -325,15 +325,15 @@ def play(plc: Plc, cycles: int, log: Callable[..., None]) -> None:
     plc.connect()
     for number in range(cycles):
         name = list(HABITS)[number % len(HABITS)]
-        log(habit=name, told=(told := HABITS[name](plc)))
-        if told == "fault":
+        log(habit=name, told=(outcome := HABITS[name](plc)))
+        if outcome == "fault":
             after_fault(plc)
         else:
             plc.release()
 
 
 def wire_to(place: str) -> Wire:
-    """The wire that a command line names."""
+    """The wire for an argument of the command line."""
     kind, _, where = place.partition(":")
     return ModbusWire(int(where)) if kind == "modbus" else ControllerWire(where)
 

@@ -1,4 +1,4 @@
-"""The shipped emulated cell, at addresses of its own, with cycles as short as they can be."""
+"""The shipped emulated cell, at its own addresses, with the shortest possible cycles."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def short_cycles(
     """Settings in `folder`.
 
     host              address of the emulated arm and camera
-    reply_s           patience with the gripper
-    own_patience      with the camera, that of the emulated cell; else that of a real one's driver
+    reply_s           time limit for the gripper
+    own_patience      use the emulated cell's time limit for the camera, not that of a real driver
     motion_s          entries of `motion`
     """
     content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))

@@ -1,1 +1,1 @@
-"""What pages show: pictures, drawings, and the reference of checks."""
+"""Figures of the documentation: pictures, drawings and plots."""

@@ -1,4 +1,4 @@
-"""Draw the README's picture: the execution of one simulated cycle, as its record shows it.
+"""Draw the README's picture: the execution of one simulated cycle, from its record.
 
 python -m tools.figures.cycle_picture -o docs/images/cycle.jpg
 """

@@ -2,9 +2,9 @@
 
     python -m tools.figures.effect_confusions [-o docs/measured/effect_confusions.csv]
 
-A signature is the change of all markers by a small effect, less what EI at four knots, N and the
-viscosity imitate (the projection off their sensitivities).  Of effects with several amplitudes
-the largest correlation of their subspaces counts.
+A signature is the change of all markers by a small effect, projected off the sensitivities of EI at
+four knots, N and the viscosity.  For effects with several amplitudes the largest correlation of
+their subspaces counts.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ def motions() -> dict[str, list[Motion]]:
         "fast": moved(t_s, (0.0, -0.03), 0.12, begin_s),
         "down_up": replace(down, y_m=down.y_m + up_m),
     }
-    pairs = {f"down and {name}": [down, other] for name, other in others.items()}
-    alone = {name: [other] for name, other in others.items()}
+    pairs = {f"down and {name}": [down, motion] for name, motion in others.items()}
+    alone = {name: [motion] for name, motion in others.items()}
     return {"rest": [rest], "down": [down]} | alone | pairs
 
 
-def signatures(seen: list[Motion]) -> dict[str, FloatArray]:
+def signatures(motions_shown: list[Motion]) -> dict[str, FloatArray]:
     """Orthonormal signatures (values, amplitudes) of the effects that these motions show."""
 
     def run(cable: CableModel) -> FloatArray:
-        return np.concatenate([simulate(cable, m, TIMES_S, NODES_M).ravel() for m in seen])
+        return np.concatenate([simulate(cable, m, TIMES_S, NODES_M).ravel() for m in motions_shown])
 
     plain = run(model(PLAIN))
     slopes = np.array([run(model(PLAIN + step)) - plain for step in 1e-4 * np.eye(PLAIN.size)])
     imitated = np.linalg.qr((slopes[np.any(slopes != 0.0, axis=1)] / 1e-4).T)[0]
-    found = {}
+    by_effect = {}
     for name, effect in (library() | unscreened()).items():
         changes = []
         for p in effect.parameters:
@@ -70,12 +70,12 @@ def signatures(seen: list[Motion]) -> dict[str, FloatArray]:
                 full = SIZES.get(name, {}).get(p.name, p.starts[0]) - p.default
                 value = SMALL_RADIUS_M if name == "plastic_set" else p.default + SMALL * full
                 changes.append(run(model(PLAIN, (effect.active(**{p.name: value}),))) - plain)
-        left = np.array(changes).T
-        left -= imitated @ (imitated.T @ left)
-        axes, sizes, _ = np.linalg.svd(left, full_matrices=False)
-        if np.sqrt(np.mean(left**2)) > NOTHING_M:
-            found[name] = axes[:, sizes > 1e-6 * sizes[0]]
-    return found
+        projected = np.array(changes).T
+        projected -= imitated @ (imitated.T @ projected)
+        axes, sizes, _ = np.linalg.svd(projected, full_matrices=False)
+        if np.sqrt(np.mean(projected**2)) > NOTHING_M:
+            by_effect[name] = axes[:, sizes > 1e-6 * sizes[0]]
+    return by_effect
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -86,13 +86,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with Path(options.out).open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["motion", "effect", "other", "correlation"])
-        for motion, seen in motions().items():
-            found = signatures(seen)
-            for effect, own in found.items():
-                for other, theirs in found.items():
+        for motion, motion_list in motions().items():
+            by_effect = signatures(motion_list)
+            for effect, own in by_effect.items():
+                for second, theirs in by_effect.items():
                     r = float(np.linalg.svd(own.T @ theirs, compute_uv=False)[0])
-                    if other != effect and r >= LEAST:
-                        table.writerow([motion, effect, other, f"{r:.2f}"])
+                    if second != effect and r >= LEAST:
+                        table.writerow([motion, effect, second, f"{r:.2f}"])
 
 
 if __name__ == "__main__":

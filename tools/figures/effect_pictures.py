@@ -33,7 +33,7 @@ FloatArray = NDArray[np.float64]
 NODES_M = node_arc_lengths(CABLE.free_length_m, 21)[::-1]
 TIMES_S = np.arange(0.0, 2.0, 0.005)
 BEGINS_S, LASTS_S, WAY_M, PASSES = 0.1, 0.3, 0.05, 8
-#: Values in the pictures, where they are not the first start of each amplitude.
+#: Values in the pictures that differ from the first start of each amplitude.
 SIZES = {
     "air_drag": {"drag_coefficient": 4.0},
     "draught": dict.fromkeys(("wind_x_m_per_s", "wind_y_m_per_s"), 0.2),
@@ -54,15 +54,15 @@ class Signature:
     refit: FloatArray
 
     @property
-    def told(self) -> str:
+    def sizes_text(self) -> str:
         """Sizes of the effect in mm."""
         moved = np.linalg.norm(self.with_it - self.without, axis=-1)[:, -1].max() * 1e3
-        left = np.sqrt(np.mean((self.with_it - self.refit) ** 2)) * 1e3
-        return f"tip moved by up to {moved:.2g} mm; after refitting EI, N, C {left:.2g} mm rms"
+        residual = np.sqrt(np.mean((self.with_it - self.refit) ** 2)) * 1e3
+        return f"tip moved by up to {moved:.2g} mm; after refitting EI, N, C {residual:.2g} mm rms"
 
 
 def motion() -> Motion:
-    """The gripper goes down, along the path of least jerk, and waits."""
+    """The gripper moves down along a minimum-jerk path, and rests."""
     return moved(np.arange(0.0, TIMES_S[-1] + 0.01, 0.002), (0.0, -WAY_M), LASTS_S, BEGINS_S)
 
 
@@ -85,28 +85,28 @@ def signature(name: str) -> Signature:
         return simulate(models, motion(), TIMES_S, NODES_M)
 
     without, with_it = runs([model(PLAIN), model(PLAIN, (active,))])
-    q, seen, damping, steps = PLAIN, without, 1e-3, 1e-4 * np.eye(PLAIN.size)
+    q, refit, damping, steps = PLAIN, without, 1e-3, 1e-4 * np.eye(PLAIN.size)
     for _ in range(PASSES):
-        jacobian = (runs([model(q + s) for s in steps]) - seen).reshape(q.size, -1).T / 1e-4
+        jacobian = (runs([model(q + s) for s in steps]) - refit).reshape(q.size, -1).T / 1e-4
         normal = jacobian.T @ jacobian
         normal += damping * np.diag(np.diag(normal))
-        step = np.linalg.solve(normal, jacobian.T @ (with_it - seen).ravel())
+        step = np.linalg.solve(normal, jacobian.T @ (with_it - refit).ravel())
         (there,) = runs([model(tried := q + np.clip(step, -0.4, 0.4))])
-        better = np.sum((with_it - there) ** 2) < np.sum((with_it - seen) ** 2)
-        q, seen, damping = (tried, there, damping / 5) if better else (q, seen, damping * 20)
-    return Signature(name, ", ".join(each), without, with_it, seen)
+        better = np.sum((with_it - there) ** 2) < np.sum((with_it - refit) ** 2)
+        q, refit, damping = (tried, there, damping / 5) if better else (q, refit, damping * 20)
+    return Signature(name, ", ".join(each), without, with_it, refit)
 
 
 @mpl.rc_context({"font.size": 8, "axes.titlesize": 8, "axes.grid": True, "grid.alpha": 0.4})
-def draw(found: Signature) -> Figure:
+def draw(sig: Signature) -> Figure:
     """Shape at rest, tip height, residual map and spectrum."""
     figure = Figure(figsize=(8.4, 4.9), layout="constrained", dpi=100)
-    values = textwrap.fill(found.values.replace(" ", "\xa0").replace(",\xa0", ", "), 115)
-    figure.suptitle(f"{values}\n{found.told}", fontsize=8)
+    values = textwrap.fill(sig.values.replace(" ", "\xa0").replace(",\xa0", ", "), 115)
+    figure.suptitle(f"{values}\n{sig.sizes_text}", fontsize=8)
     (rest, height), (field, spectrum) = figure.subplots(2, 2)
-    lines = (("without the effect", found.without, BETWEEN[0], "-", 1.3),
-             ("with the effect", found.with_it, ADDED, "-", 2.2),
-             ("refit without the effect", found.refit, MODEL, "--", 1.1))  # fmt: skip
+    lines = (("without the effect", sig.without, BETWEEN[0], "-", 1.3),
+             ("with the effect", sig.with_it, ADDED, "-", 2.2),
+             ("refit without the effect", sig.refit, MODEL, "--", 1.1))  # fmt: skip
     for name, xy, colour, dash, width in lines:
         style = {"color": colour, "ls": dash, "lw": width, "label": name}
         tip_mm = xy[:, -1, 1] * 1e3
@@ -120,10 +120,10 @@ def draw(found: Signature) -> Figure:
     height.set(title="height of the tip", xlabel="time, s", ylabel="y, mm")
     spectrum.set(title="spectrum of the tip's height, from the stop on", xlabel="frequency, Hz",
                  ylabel="amplitude, mm", xlim=(0, 40), ylim=(1e-4, 30))  # fmt: skip
-    left_mm = (found.with_it - found.refit)[..., 1].T * 1e3
-    most = max(float(np.abs(left_mm).max()), 1e-3)
+    rest_mm = (sig.with_it - sig.refit)[..., 1].T * 1e3
+    most = max(float(np.abs(rest_mm).max()), 1e-3)
     field.grid(visible=False)
-    image = field.pcolormesh(TIMES_S, NODES_M * 1e3, left_mm, cmap="RdBu", vmin=-most, vmax=most)
+    image = field.pcolormesh(TIMES_S, NODES_M * 1e3, rest_mm, cmap="RdBu", vmin=-most, vmax=most)
     field.set(title="with effect minus refit, vertical", xlabel="time, s", ylabel="mm from clamp")
     figure.colorbar(image, ax=field, label="mm")
     rest.legend(fontsize=7)
@@ -137,11 +137,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only or library() | unscreened():
-        found, drawn = signature(name), io.BytesIO()
-        draw(found).savefig(drawn, format="png")
+        sig, drawn = signature(name), io.BytesIO()
+        draw(sig).savefig(drawn, format="png")
         picture = Image.open(drawn).convert("RGB").quantize(160)
         picture.save(options.out / f"{name}.png", optimize=True)
-        print(f"{name}: {found.values}: {found.told}")
+        print(f"{name}: {sig.values}: {sig.sizes_text}")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from cell.vision.marks import JawMarks
 
 #: The plate around the discs, mm: x from the jaw's edge, y from the lower edge.
 PLATE_MM = (0.0, -13.0, 38.0, 13.0)
-#: The sheet and what it shows of the jaw's plane, mm.
+#: The sheet and its range of the jaw's plane, mm.
 SHEET_MM, CORNER_MM = (150.0, 110.0), (-40.0, -58.0)
 MM_PER_INCH = 25.4
 

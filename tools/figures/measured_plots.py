@@ -31,7 +31,7 @@ STYLE = {
     **{"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True},
     **{"axes.grid": True, "grid.color": "#dddddd", "legend.frameon": False},
 }
-#: A number in a tag, not in a text: two of its decimals are kept.
+#: A number in a tag, not in a text: it is rounded to two decimals.
 DECIMALS = re.compile(r"(?<=\d\.\d\d)\d+(?=[^<>]*>)")
 MARKS = ("median", "largest")
 MARKERS = "osD^vP*Xh"
@@ -116,7 +116,7 @@ def pairs(
 
 
 def lab() -> Figure:
-    """Right verdicts by kind of study; the number of studies, and how many were wrong."""
+    """Right verdicts by kind of study; numbers of studies and of wrong verdicts."""
     rows = [r for r in read("lab") if r["n"] != "1"]
     figure, (axes,) = panels([len(rows)])
     for kind, colour in zip(dict.fromkeys(r["hidden"] for r in rows), COLOURS, strict=False):
@@ -139,10 +139,10 @@ def several(name: str, group: str, rows_of: str, count: str, unit: str) -> Figur
     names = list(dict.fromkeys(r[rows_of] for r in rows))
     groups = list(dict.fromkeys(r[group] for r in rows))
     figure, (axes,) = panels([2 * len(names)])
-    for i, (one, colour) in enumerate(zip(groups, COLOURS, strict=False)):
-        of = [r for r in rows if r[group] == one]
+    for i, (row, colour) in enumerate(zip(groups, COLOURS, strict=False)):
+        of = [r for r in rows if r[group] == row]
         y = [names.index(r[rows_of]) + 0.22 * (i - (len(groups) - 1) / 2) for r in of]
-        share(axes, y, of, count, colour, one)
+        share(axes, y, of, count, colour, row)
     named(axes, names, f"{unit}, % (95 % interval)")
     if count == "right":
         goal(axes, 90.0)
@@ -194,7 +194,7 @@ def benchmark_effects() -> Figure:
 
 
 def rods() -> Figure:
-    """Error of the tip against CPU time by task, of settings twice as good as the one before."""
+    """Error of the tip against CPU time by task, of settings that halve the error."""
     rows = [r for r in read("rods") if r["reference_um"] != "nan"]
     tasks, names = (list(dict.fromkeys(r[c] for r in rows)) for c in ("task", "entrant"))
     figure = Figure((7.2, 4.8), layout="constrained")

@@ -52,7 +52,7 @@ def settings_text(now: datetime) -> str:
 
 
 def photograph(driver: Any, path: Path, pause_s: float = 1.0) -> None:
-    """Write a page of `driver` as it is once two photographs, `pause_s` apart, are equal."""
+    """Photograph a page of `driver` once two photographs, `pause_s` apart, are equal."""
     before, now = b"", driver.get_screenshot_as_png()
     while now != before:
         time.sleep(pause_s)
@@ -102,8 +102,8 @@ def _take(
     def stop() -> None:
         start = _cell("send", "start", "--part", "LOT7-0013", *words[2:])
         subprocess.run(start, check=True, stdout=subprocess.DEVNULL)
-        said = ("--by", "Ada", "--note", "guard opened")
-        subprocess.run(_cell("send", "stop", *said, *words[2:]), check=True)
+        by = ("--by", "Ada", "--note", "guard opened")
+        subprocess.run(_cell("send", "stop", *by, *words[2:]), check=True)
         browser.until(lambda: browser.text("[data-test=state]") == "Stopped")
 
     ready: dict[str, Callable[[], None]] = {

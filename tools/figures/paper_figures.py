@@ -2,9 +2,9 @@
 
     python -m tools.figures.paper_figures [--out figures]
 
-"Measured" is a world with a finer mesh, hidden parameters and noise; "model" is what identification
-made of its hold.  Figures 2, 3, 5–7, 8–12 and 13–15 of "Vision-Guided Individual Modeling of
-Bendable Cables for Their Insertion".  Drawings without data (1, 4) are left out.
+"Measured" is a world with a finer mesh, hidden parameters and noise; "model" is identified from its
+hold.  Figures 2, 3, 5–7, 8–12 and 13–15 of "Vision-Guided Individual Modeling of Bendable Cables
+for Their Insertion".  Drawings without data (1, 4) are omitted.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ DENSE_M = node_arc_lengths(0.1, 101)
 
 
 def drawing(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> Any:
-    """A figure of so many inches, and its axes."""
+    """A figure with a size in inches, and its axes."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
 
@@ -90,13 +90,13 @@ def figure_2() -> Figure:
 
 def figure_3() -> Figure:
     """The swing of a tip while the gripper goes 50 mm down."""
-    _, seen = identified(4)
+    _, markers = identified(4)
     figure, both = drawing(9.0, 3.4, 1, 2)
     for axes, c, name, which in zip(
         both, (0, 1), "xy", ("(a) horizontal", "(b) vertical"), strict=True
     ):
         hand = (hold().x_m, hold().y_m)[c]
-        axes.plot(seen.t_s, seen.xy_m[:, 0, c] * 1e3, color=SEEN, label="tip, seen")
+        axes.plot(markers.t_s, markers.xy_m[:, 0, c] * 1e3, color=SEEN, label="tip, seen")
         axes.plot(hold().t_s, hand * 1e3, "--", color=GRIPPER, label="gripping point")
         axes.set(title=which, xlabel="time [s]", ylabel=f"{name} [mm]")
         axes.legend()
@@ -105,14 +105,14 @@ def figure_3() -> Figure:
 
 def figure_5() -> Figure:
     """Uniform EI and the identified EI(s): still shape, and its residual."""
-    found, seen = identified(5)
-    nodes = seen.xy_m[seen.t_s < STILL_S - 0.01].mean(0)
+    cable, markers = identified(5)
+    nodes = markers.xy_m[markers.t_s < STILL_S - 0.01].mean(0)
     uniform = best_uniform(nodes)
     figure, (left, right) = drawing(9.0, 3.0, 1, 2, width_ratios=(5, 4))
     left.plot(*(nodes.T * 1e3), "o", color=SEEN, ms=5, label="seen, mean of the still frames")
     for model, colour, name in (
         (uniform, SIMPLER, "uniform EI, best"),
-        (found.model, PREDICTED, "non-uniform EI(s), identified"),
+        (cable.model, PREDICTED, "non-uniform EI(s), identified"),
     ):
         left.plot(*(still_shape(model, MODEL).T * 1e3), color=colour, lw=1, label=name)
         error = np.linalg.norm(nodes - still_shape(model, MODEL, NODES_M), axis=1)
@@ -129,22 +129,22 @@ def figure_5() -> Figure:
 
 
 def figure_6() -> Figure:
-    """Linear against nonlinear bending: the same still shape, another swing."""
+    """Linear and nonlinear bending: the same still shape, different swings."""
     index = int(np.argmax([abs(m.exponent - 1.0) for m in individuals()]))
-    found, seen = identified(index)
-    k = found.space.knots
-    linear = same_shape(found.model, 1.0)
+    cable, tips = identified(index)
+    k = cable.space.knots
+    linear = same_shape(cable.model, 1.0)
     figure, (top, bottom) = drawing(9.0, 5.2, 2, 1, sharex=True, height_ratios=(2, 1))
-    top.plot(seen.t_s, seen.xy_m[:, 0, 1] * 1e3, color=SEEN, lw=2.5, alpha=0.5, label="tip, seen")
+    top.plot(tips.t_s, tips.xy_m[:, 0, 1] * 1e3, color=SEEN, lw=2.5, alpha=0.5, label="tip, seen")
     for model, colour, name in (
         (linear, SIMPLER, "linear, N = 1"),
-        (found.model, PREDICTED, f"nonlinear, N = {found.values[k]:.3f}"),
+        (cable.model, PREDICTED, f"nonlinear, N = {cable.values[k]:.3f}"),
     ):
-        tip = tip_path(model, hold(), seen.t_s)
-        error = np.linalg.norm(seen.xy_m[:, 0] - tip, axis=1)
-        top.plot(seen.t_s, tip[:, 1] * 1e3, color=colour, lw=1.2, label=name)
+        tip = tip_path(model, hold(), tips.t_s)
+        error = np.linalg.norm(tips.xy_m[:, 0] - tip, axis=1)
+        top.plot(tips.t_s, tip[:, 1] * 1e3, color=colour, lw=1.2, label=name)
         rms = np.sqrt(np.mean(error**2)) * 1e3
-        bottom.plot(seen.t_s, error * 1e3, color=colour, lw=1, label=f"{name}: rms {rms:.2f} mm")
+        bottom.plot(tips.t_s, error * 1e3, color=colour, lw=1, label=f"{name}: rms {rms:.2f} mm")
     top.set(
         ylabel="y of the tip [mm]", title=f"same still shape, other exponent (cable {index + 1})"
     )
@@ -156,8 +156,8 @@ def figure_6() -> Figure:
 
 def figure_7() -> Figure:
     """Effect of N and C on the swing; EI is scaled with N so that the still shape stays."""
-    found, _ = identified(4)
-    base = found.model
+    cable, _ = identified(4)
+    base = cable.model
     t_s = np.arange(0.0, hold().t_s[-1], 0.002)
     figure, (left, right) = drawing(9.0, 3.6, 1, 2, sharey=True)
     for exponent in (0.8, 1.0, 1.2):
@@ -176,25 +176,25 @@ def figure_7() -> Figure:
 
 
 def figure_8_to_12(offset_m: float) -> Figure:
-    """Tip motion for one offset, seen and predicted by the identified model, and their distance."""
+    """Tip motion for one offset, measured and predicted by the model, and their distance."""
     index = 4
-    found, _ = identified(index)
+    cable, _ = identified(index)
     motion = insertion(offset_m)
-    seen = measure(individuals()[index], motion, 100 + round(offset_m * 1e3), TIP_M)
-    tip = tip_path(found.model, motion, seen.t_s)
-    error = np.linalg.norm(seen.xy_m[:, 0] - tip, axis=1)
+    markers = measure(individuals()[index], motion, 100 + round(offset_m * 1e3), TIP_M)
+    tip = tip_path(cable.model, motion, markers.t_s)
+    error = np.linalg.norm(markers.xy_m[:, 0] - tip, axis=1)
     figure, (left, right) = drawing(9.0, 3.6, 1, 2)
     for c, name in enumerate("xy"):
-        left.plot(seen.t_s, seen.xy_m[:, 0, c] * 1e3, color=SEEN, lw=3, alpha=0.4)
-        left.plot(seen.t_s, tip[:, c] * 1e3, color=PREDICTED, lw=1)
-        left.annotate(name, (seen.t_s[-1], tip[-1, c] * 1e3), xytext=(4, 0), va="center",
+        left.plot(markers.t_s, markers.xy_m[:, 0, c] * 1e3, color=SEEN, lw=3, alpha=0.4)
+        left.plot(markers.t_s, tip[:, c] * 1e3, color=PREDICTED, lw=1)
+        left.annotate(name, (markers.t_s[-1], tip[-1, c] * 1e3), xytext=(4, 0), va="center",
                       textcoords="offset points")  # fmt: skip
     left.plot([], [], color=SEEN, lw=3, alpha=0.4, label="seen")
     left.plot([], [], color=PREDICTED, lw=1, label="model")
     left.set(title=f"(a) tip, down {offset_m * 1e3:.0f} mm then 50 mm left", xlabel="time [s]",
              ylabel="[mm]")  # fmt: skip
     left.legend(loc="lower left")
-    right.plot(seen.t_s, error * 1e3, color=GRIPPER, lw=1)
+    right.plot(markers.t_s, error * 1e3, color=GRIPPER, lw=1)
     right.axhline(
         np.sqrt(np.pi / 2) * NOISE_M * 1e3, color=SEEN, ls=":", label="mean of noise alone"
     )
@@ -225,9 +225,9 @@ def figure_14() -> Figure:
     for axes, near in zip(both, (False, True), strict=True):
         for (index, choice), colour in zip(choices.items(), THREE, strict=True):
             motion = insertion(choice.best.offset_m)
-            seen = measure(individuals()[index], motion, 200 + index, TIP_M)
+            markers = measure(individuals()[index], motion, 200 + index, TIP_M)
             label = f"cable {index + 1}: offset {choice.best.offset_m * 1e3:.0f} mm"
-            axes.plot(*(seen.xy_m[:, 0].T * 1e3), ".-", color=colour, ms=3, lw=0.6, label=label)
+            axes.plot(*(markers.xy_m[:, 0].T * 1e3), ".-", color=colour, ms=3, lw=0.6, label=label)
             axes.plot(*(choice.tip_m.T * 1e3), color=colour, lw=1.5, alpha=0.5)
         mark(axes, opening)
         plane(axes)
@@ -247,10 +247,10 @@ def figure_15() -> Figure:
     figure, all_axes = drawing(9.0, 2.6, 1, 3, sharex=True, sharey=True)
     for axes, (index, choice), colour in zip(all_axes, choices.items(), THREE, strict=True):
         motion = insertion(choice.best.offset_m)
-        seen = measure(individuals()[index], motion, 200 + index, node_arc_lengths(0.1, 41))
-        for k in range(0, len(seen.t_s), 20):
-            axes.plot(*(seen.xy_m[k].T * 1e3), color=GRIPPER, lw=0.4)
-        axes.plot(*(seen.xy_m[:, 0].T * 1e3), color=colour, label="tip")
+        markers = measure(individuals()[index], motion, 200 + index, node_arc_lengths(0.1, 41))
+        for k in range(0, len(markers.t_s), 20):
+            axes.plot(*(markers.xy_m[k].T * 1e3), color=GRIPPER, lw=0.4)
+        axes.plot(*(markers.xy_m[:, 0].T * 1e3), color=colour, label="tip")
         axes.plot(motion.x_m * 1e3, motion.y_m * 1e3, "--", color=GRIPPER, label="gripper")
         mark(axes, opening)
         plane(axes)
@@ -259,7 +259,7 @@ def figure_15() -> Figure:
     return figure
 
 
-# --- what they share ----------------------------------------------------------------------------
+# --- shared by the figures ----------------------------------------------------------------------
 
 
 def mark(axes: Axes, opening: Destination) -> None:
@@ -281,8 +281,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, default=Path("figures"))
     parser.add_argument("--only", nargs="+", metavar="NAME", help="as 02_still_shapes")
-    given = parser.parse_args()
-    out: Path = given.out
+    arguments = parser.parse_args()
+    out: Path = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     drawn: dict[str, Callable[[], Figure]] = {
@@ -297,10 +297,10 @@ def main() -> None:
         "15_guided_motions": figure_15,
     }
     for name, draw in drawn.items():
-        if not given.only or name in given.only:
+        if not arguments.only or name in arguments.only:
             draw().savefig(out / f"fig{name}.png", dpi=110)
             print(out / f"fig{name}.png")
-    if given.only:
+    if arguments.only:
         return
     for index, choice in guided()[1].items():
         best = choice.best

@@ -1,1 +1,1 @@
-"""Plants around a cell: what lines do to it, and what that costs it."""
+"""Plants around a cell: effects and cost of adapters and pages."""

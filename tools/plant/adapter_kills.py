@@ -2,9 +2,9 @@
 
     python -m tools.plant.adapter_kills [--only mqtt] [--steps lower execute] [--quick]
 
-The simulated cell runs as a service with OPC UA, MQTT, the handshake and `cell serve` beside it,
-whose live page somebody looks at: once untouched, and once with a kill (SIGKILL) in each cycle.
-Outcome, chosen offset and margin of the n-th cycle must be the same, and so must its steps.
+The simulated cell runs as a service with OPC UA, MQTT, the handshake and `cell serve`, with a
+viewer of the live page: once untouched, and once with a kill (SIGKILL) in each cycle.  Outcome,
+chosen offset, margin and steps of the n-th cycle must be the same.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from tools.plant.viewer import Viewer
 from tools.processes import running
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
-#: Cycles beyond the kills: not every cycle has every step.
+#: Number of cycles beyond the kills: not every cycle has every step.
 SPARE = 3
-#: What is the same whether or not an adapter is killed.
+#: Entries of a result that must not depend on kills.
 SAME = ("cycle", "outcome", "offset_m", "margin_m", "reason")
 
 
@@ -45,10 +45,10 @@ class MadeCycle:
     result: dict[str, Any]
     steps: tuple[str, ...]
 
-    def differs(self, other: MadeCycle) -> str:
-        """In what it differs from another; empty = in nothing that matters."""
-        names = [n for n in SAME if self.result.get(n) != other.result.get(n)]
-        names += ["steps"] if self.steps != other.steps else []
+    def differs(self, reference: MadeCycle) -> str:
+        """Names of the entries that differ from a reference; empty = none."""
+        names = [n for n in SAME if self.result.get(n) != reference.result.get(n)]
+        names += ["steps"] if self.steps != reference.steps else []
         return ", ".join(names)
 
 
@@ -102,14 +102,14 @@ def assigned(
 ) -> list[tuple[str, str] | None]:
     """Assign a planned kill to each cycle that has its step; rare steps first."""
     count = Counter(step for cycle in cycles for step in set(cycle.steps))
-    left = sorted(planned, key=lambda kill: count[kill[1]])
-    found = []
+    open_kills = sorted(planned, key=lambda kill: count[kill[1]])
+    kills = []
     for cycle in cycles:
-        chosen = next((kill for kill in left if kill[1] in cycle.steps), None)
+        chosen = next((kill for kill in open_kills if kill[1] in cycle.steps), None)
         if chosen is not None:
-            left.remove(chosen)
-        found.append(chosen)
-    return found
+            open_kills.remove(chosen)
+        kills.append(chosen)
+    return kills
 
 
 def main() -> int:
@@ -150,8 +150,8 @@ def main() -> int:
                     if begun == step:
                         os.kill(pid, signal.SIGKILL)
 
-                found = made(client, messages, kill)
-                differs = found.differs(meant)
+                cycle = made(client, messages, kill)
+                differs = cycle.differs(meant)
                 victim.wait(10.0)
                 done += 1
                 wrong += bool(differs)

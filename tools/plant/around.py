@@ -20,21 +20,21 @@ from cell.plant.messages import CommandReply, MessageKind, Request, Status
 from cell.run.machine import CellState
 from tools.processes import Program, free_port, listens, wait_until
 
-#: All that there is; `serve` are the pages.
+#: All adapters; `serve` are the pages.
 ADAPTERS = ("opcua", "mqtt", "handshake", "serve")
 #: Name of the unit, `plant.opcua.name`.
 UNIT = "Cell"
-#: A step of the cycle that `published` makes up, s.
+#: Duration of a step of the invented cycles of `published`, s.
 _STEP_S = 0.25
 
 
 class Plant:
-    """Broker, adapters and clients within a `with`, beside a cell that may come later.
+    """Broker, adapters and clients within a `with`, for a cell that may start later.
 
     base      settings of the cell; a section `plant` is added to a copy in `folder`
-    adapters  which run
-    clients   of OPC UA, each subscribed to all that changes, every 100 ms
-    viewers   of the live page, one of which reads nothing of it
+    adapters  names of those that run
+    clients   of OPC UA, each subscribed to all variables, every 100 ms
+    viewers   of the live page, one of which reads nothing
     """
 
     def __init__(
@@ -88,14 +88,14 @@ class Plant:
         self._opened.close()
 
     def start(self, adapter: str) -> None:
-        """Begin an adapter, as the service does."""
+        """Start an adapter, as the service does."""
         command = command_of(adapter, self.config, self._runs)
         if adapter == "serve":
             command += ["--port", str(self.ports[adapter])]
         self.running[adapter] = Program(command)
 
     def wait_for(self, adapter: str) -> None:
-        """Until an adapter does its work."""
+        """Wait until an adapter works."""
         program = self.running[adapter]
         if adapter == "mqtt":
             program.until("broker: connected")
@@ -103,7 +103,7 @@ class Plant:
             wait_until(lambda: listens(self.ports[adapter]), program)
 
     def cpu_s(self) -> Mapping[str, float]:
-        """CPU time that each program has taken so far, s."""
+        """CPU time of each program so far, s."""
         return {name: cpu_s(program.process.pid) for name, program in self.running.items()}
 
     def _broker(self) -> Program:
@@ -111,17 +111,17 @@ class Plant:
         program = shutil.which("mosquitto", path=path)
         if program is None:
             raise RuntimeError("mosquitto is not installed")
-        said = self._folder / "mosquitto.conf"
+        config_file = self._folder / "mosquitto.conf"
         lines = [f"listener {self.ports['mqtt']} 127.0.0.1", f"user {getpass.getuser()}"]
-        said.write_text("\n".join([*lines, "allow_anonymous true"]) + "\n", encoding="utf-8")
-        broker = Program(["nice", "-n", "19", program, "-c", str(said)])
+        config_file.write_text("\n".join([*lines, "allow_anonymous true"]) + "\n", encoding="utf-8")
+        broker = Program(["nice", "-n", "19", program, "-c", str(config_file)])
         wait_until(lambda: listens(self.ports["mqtt"]), broker)
         return broker
 
 
 @contextmanager
 def published(runs: Path) -> Iterator[None]:
-    """Open the link of a cell that does not exist, and publish notices as of its cycles."""
+    """Open the link of an invented cell, and publish notices of its cycles."""
     refused = CommandReply(False, CellState.EXECUTE, "this cell only publishes")
 
     def refuse(request: Request) -> CommandReply:

@@ -1,4 +1,4 @@
-"""The pages of a cell as a process, and headless Chromium that looks at them, on loopback."""
+"""The pages of a cell as a process, and headless Chromium as their client, on loopback."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FLAGS = (
     *("--disable-background-timer-throttling", "--disable-renderer-backgrounding"),
     *("--accept-lang=en", "--window-size=1440,900"),
 )
-#: A browser's page takes at most so long, s; the computer may do other things meanwhile.
+#: Time limit of a browser's page, s, for a busy computer.
 _LOAD_S = 120.0
 _KIB = 1024
 
@@ -40,22 +40,22 @@ class Pages:
         self.program.end()
 
     def wait(self) -> None:
-        """Until it answers.  Raises RuntimeError: it does not begin."""
+        """Wait until it answers.  Raises RuntimeError: it does not begin."""
         wait_until(lambda: listens(self.port), self.program)
 
     def rss_bytes(self) -> int:
-        """Resident memory of the process and of those that it has begun."""
+        """Resident memory of the process and its child processes."""
         return sum(_rss_bytes(pid) for pid in family(self.program.process.pid))
 
     def cpu_s(self) -> float:
-        """CPU time that it has taken so far, s."""
+        """CPU time of the process so far, s."""
         return cpu_s(self.program.process.pid)
 
 
 class Browser:
     """Headless Chromium within a `with`.  Raises RuntimeError: it is not installed.
 
-    logged  it keeps a log of what it asks the network for
+    logged  it keeps a log of its network requests
     """
 
     def __init__(self, folder: Path, *, logged: bool = False) -> None:
@@ -85,22 +85,22 @@ class Browser:
 
     @property
     def processes(self) -> list[int]:
-        """Chromium's, not the driver's."""
+        """Process ids of Chromium, without the driver's."""
         return family(self._service.process.pid)[1:]
 
     def tab(self, url: str) -> str:
-        """Open an address in a tab of its own; the tab's handle."""
+        """Open an address in a new tab; the tab's handle."""
         self.driver.switch_to.new_window("tab")
         self.driver.get(url)
         return str(self.driver.current_window_handle)
 
     def text(self, css: str) -> str:
-        """Of an element; "" = there is none yet."""
+        """Text of an element; "" = there is none yet."""
         script = "const e = document.querySelector(arguments[0]); return e ? e.innerText : ''"
         return str(self.driver.execute_script(script, css))
 
     def until(self, reached: Callable[[], object]) -> None:
-        """Wait for something.  Raises RuntimeError: it does not come, with what the page shows."""
+        """Wait for a condition.  Raises RuntimeError, with the page's text: it is not met."""
         until_s = time.monotonic() + _LOAD_S
         while not reached():
             if time.monotonic() > until_s:

@@ -1,9 +1,9 @@
-"""Clients of the OPC UA server that subscribe to what the cell shows, in a process of their own.
+"""Clients of the OPC UA server that subscribe to the cell's variables, in a separate process.
 
     python -m tools.plant.opcua_clients PORT --clients 5
 
-It prints a line when all have subscribed, and computes after everybody else: in a plant these
-clients are on other computers.
+It prints a line when all have subscribed, and has the lowest priority: in a plant these clients are
+on different computers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from asyncua import Client, ua
 from cell.plant.opcua.server import OWN_URI
 from tools.plant.around import UNIT
 
-#: What each client looks at, below the unit.
+#: Variables of each client, below the unit.
 PATHS = (
     "Cell.Connected",
     "Cell.State",
@@ -33,12 +33,12 @@ PATHS = (
     "Status.StateCurrent",
     "Admin.ProdConsumedCount",
 )
-#: So often a client is notified, ms.
+#: Interval of notifications, ms.
 INTERVAL_MS = 100.0
 
 
 class _Ignores:
-    """Takes the changes that it is notified of."""
+    """Ignores the notifications of changes."""
 
     def datachange_notification(self, node: object, value: object, data: object) -> None:
         pass

@@ -2,12 +2,11 @@
 
     python -m tools.plant.pages_soak [--hours 8] [--speed 100] [--cycle-s 15]
 
-One simulated cycle is recorded with all that the cell told.  A link then tells the same, again and
-again, as a cell that makes a cycle every `--cycle-s`, but so many times faster; each cycle is in
-the ledger and has its folder, film included.  Two tabs of a browser show the live page, one goes
-between the history and cycles, one through the lab.  A second browser's live page is halted
-(SIGSTOP) for most of the time.  Printed is the resident memory, and how much it grows after the
-first tenth.
+One simulated cycle is recorded with all notices of the cell.  A link then repeats them, as a cell
+with a cycle every `--cycle-s`, but `--speed` times faster; each cycle is in the ledger and has its
+folder, film included.  Two tabs of a browser show the live page, one changes between the history
+and cycles, one through the lab.  A second browser's live page is halted (SIGSTOP) for most of the
+time.  The resident memory is printed, and its growth after the first tenth.
 """
 
 from __future__ import annotations
@@ -43,19 +42,19 @@ from tools.plant.adapter_kills import quick, service
 from tools.plant.browser import Browser, Pages
 
 MIB = 1 << 20
-#: The process may grow by so much after the first tenth, bytes.
+#: Largest permitted growth of the process after the first tenth, bytes.
 MOST_GROWTH = 20 * MIB
-#: Memory is looked at so often, and pages are changed so often, s.
+#: Intervals of the memory samples and of the page changes, s.
 _LOOK_S, _CHANGE_S = 2.0, 10.0
-#: The stalled browser is halted for so long, then comes back for so long, s.
+#: Durations for which the stalled browser is halted and running, s.
 _HALTED_S, _BACK_S = 40.0, 8.0
-#: Folders of cycles that there are at most: older ones are removed, as by a retention.
+#: Largest number of folders of cycles: older ones are removed, as by a retention.
 _FOLDERS = 300
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Notices of one cycle, and the folder that it left."""
+    """Notices of one cycle, and its folder."""
 
     notices: tuple[Notice, ...]
     folder: Path
@@ -67,14 +66,14 @@ def recorded(folder: Path, config: Path) -> Recorded:
     with service(config, runs, folder / "log"):
         client = Client(runs, timeout_s=60.0).connect(300.0)
         notices: list[Notice] = []
-        asked = False
+        started = False
         for message in client.follow():
             waits = message.data if isinstance(message, Notice) else vars(message)
             if "start" in waits.get("waiting_for", ()):
-                if asked:
+                if started:
                     break
-                asked = client.send(Request(MachineEvent.START, "tool", part="A-1")).accepted
-            elif isinstance(message, Notice) and asked:
+                started = client.send(Request(MachineEvent.START, "tool", part="A-1")).accepted
+            elif isinstance(message, Notice) and started:
                 notices.append(message)
         client.close()
     result = next(n for n in notices if n.kind is MessageKind.RESULT)
@@ -84,8 +83,8 @@ def recorded(folder: Path, config: Path) -> Recorded:
 class Line:
     """Simulated line: publishes one recorded cycle repeatedly, each time with its records."""
 
-    def __init__(self, told: Recorded, config: Path, runs: Path, cycle_s: float) -> None:
-        self._told, self._runs, self._cycle_s = told, runs, cycle_s
+    def __init__(self, notices_of: Recorded, config: Path, runs: Path, cycle_s: float) -> None:
+        self._recorded, self._runs, self._cycle_s = notices_of, runs, cycle_s
         self._line = line_name(load_settings(config))
         self.cycles = self.notices = 0
         self._folders: list[Path] = []
@@ -109,14 +108,14 @@ class Line:
         at = datetime.now()
         name = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}-{self.cycles}"
         folder = self._runs / name
-        shutil.copytree(self._told.folder, folder, copy_function=os.link)
+        shutil.copytree(self._recorded.folder, folder, copy_function=os.link)
         film = folder / form.FILE
         film.rename(folder / form.PART)
         entry = entry_of_folder(folder, self._line)
         assert entry is not None
         ledger.write([replace(entry, cycle=self.cycles, ended=None, result=None)])
-        pause_s = 0.6 * self._cycle_s / len(self._told.notices)
-        for notice in self._told.notices:
+        pause_s = 0.6 * self._cycle_s / len(self._recorded.notices)
+        for notice in self._recorded.notices:
             if notice.kind is MessageKind.RESULT:
                 (folder / form.PART).rename(film)
                 part = f"A-{self.cycles}"
@@ -140,7 +139,7 @@ class Line:
 
 @contextmanager
 def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
-    """Run a task in a thread within the `with`; its event tells it to end."""
+    """Run a task in a thread within the `with`; its event requests the end."""
     over = threading.Event()
     thread = threading.Thread(target=task, args=(over,), daemon=True)
     thread.start()
@@ -167,7 +166,7 @@ def stalls(browser: Browser) -> Callable[[threading.Event], None]:
 
 
 def people(browser: Browser, url: str) -> Iterator[None]:
-    """Open four tabs; each `next()` opens another page in one of them, as a person would."""
+    """Open four tabs; each `next()` opens a further page in one of them, as a person would."""
     driver = browser.driver
     for _ in range(2):
         browser.tab(f"{url}/")
@@ -193,13 +192,13 @@ def people(browser: Browser, url: str) -> Iterator[None]:
         driver.execute_script(f"document.querySelector('{part}').click()")
 
 
-def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float) -> bool:
-    """Run `count` cycles; returns whether the memory has grown by little enough.
+def soak(folder: Path, cycle: Recorded, config: Path, count: int, cycle_s: float) -> bool:
+    """Run `count` cycles; returns whether the growth of memory is within the limit.
 
-    cycle_s  a cycle takes, at least: a busy computer takes longer
+    cycle_s  least duration of a cycle: a busy computer takes longer
     """
-    line = Line(told, config, folder / "runs", cycle_s)
-    seen: list[int] = []
+    line = Line(cycle, config, folder / "runs", cycle_s)
+    samples: list[int] = []
     with ExitStack() as stack:
         stack.enter_context(going_on(line.until))
         pages = stack.enter_context(Pages(config, folder / "runs"))
@@ -214,27 +213,27 @@ def soak(folder: Path, told: Recorded, config: Path, count: int, cycle_s: float)
         cpu_s, cycles, notices = pages.cpu_s(), line.cycles, line.notices
         while line.cycles - cycles < count:
             now_s = time.monotonic()
-            seen.append(pages.rss_bytes())
+            samples.append(pages.rss_bytes())
             if now_s - changed_s > _CHANGE_S:
                 changed_s = now_s
                 next(looks)
-            if len(seen) % 15 == 1:
-                print(f"{now_s - begun_s:6.0f} s  {seen[-1] / MIB:7.1f} MiB", flush=True)
+            if len(samples) % 15 == 1:
+                print(f"{now_s - begun_s:6.0f} s  {samples[-1] / MIB:7.1f} MiB", flush=True)
             time.sleep(_LOOK_S)
         cpu_s, lasts_s = pages.cpu_s() - cpu_s, time.monotonic() - begun_s
         cycles, notices = line.cycles - cycles, line.notices - notices
     print(f"{cycles} cycles, {notices} notices in {lasts_s:.0f} s; {cpu_s / lasts_s:.0%} of a core")
-    return report_growth(seen)
+    return report_growth(samples)
 
 
-def report_growth(seen: list[int]) -> bool:
-    """Print how much the memory has grown, and say whether it is little enough.
+def report_growth(samples: list[int]) -> bool:
+    """Print the growth of memory; returns whether it is within the limit.
 
-    seen  bytes at equal distances in time; the first tenth is left out
+    samples  bytes at equal intervals; the first tenth is ignored
     """
-    kept = seen[len(seen) // 10 :]
-    few = max(1, len(kept) // 8)
-    first, last, most = statistics.median(kept[:few]), statistics.median(kept[-few:]), max(kept)
+    later = samples[len(samples) // 10 :]
+    few = max(1, len(later) // 8)
+    first, last, most = statistics.median(later[:few]), statistics.median(later[-few:]), max(later)
     growth = last - first
     print(
         f"{first / MIB:.1f} MiB after the first tenth, {last / MIB:.1f} MiB at the end, at most "
@@ -255,9 +254,9 @@ def main() -> int:
         content = yaml.safe_load(config.read_text(encoding="utf-8"))
         content["recording"] = {"keep_every": 1}
         config.write_text(yaml.safe_dump(content), encoding="utf-8")
-        told = recorded(folder, config)
+        cycle = recorded(folder, config)
         count = max(1, round(options.hours * 3600.0 / options.cycle_s))
-        return int(not soak(folder, told, config, count, options.cycle_s / options.speed))
+        return int(not soak(folder, cycle, config, count, options.cycle_s / options.speed))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python -m tools.plant.viewer PORT [--viewers 5 --stalled 1]
 
-So many look at the live page until the process is ended; the stalled ones read nothing of it.
+The viewers follow the live page until the process is ended; stalled ones read nothing.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from websockets.sync.client import connect
 
 from tools.processes import wait_until
 
-#: After a server that is not there it is looked for again, s; so long it may take to answer, s.
+#: Delay before a retry of a missing server, s; time limit of an answer, s.
 _AGAIN_S, _ANSWER_S = 0.5, 30.0
 #: The page's own number, in its text.
 _CLIENT = re.compile(r"'client_id': '([0-9a-f-]{36})'")
-#: Of engine.io and socket.io.
+#: Messages of engine.io and socket.io.
 _PING, _PONG, _CONNECT, _EVENT = "2", "3", "40", "42"
 
 
 class Viewer:
-    """Follows the live page of `port` on loopback within a `with`, again whenever it comes back.
+    """Follows the live page of `port` on loopback within a `with`; reconnects to a new server.
 
-    stalled  it reads nothing of what the page is told
-    updates  of the page that have come so far
+    stalled  it reads no updates of the page
+    updates  number of received updates of the page
     """
 
     def __init__(self, port: int, *, stalled: bool = False) -> None:
@@ -52,30 +52,30 @@ class Viewer:
         self._thread.join()
 
     def wait(self) -> None:
-        """Until it follows the page.  Raises RuntimeError: it does not come."""
+        """Wait until it follows the page.  Raises RuntimeError: it cannot."""
         wait_until(self._follows.is_set)
 
     def _look(self) -> None:
         while not self._over.is_set():
             try:
-                self._follow(self._opened())
+                self._follow(self._request_page())
             except (URLError, OSError, WebSocketException):
                 self._follows.clear()
                 self._over.wait(_AGAIN_S)
 
-    def _opened(self) -> str:
-        """Ask for the page: its number.  Raises URLError, OSError."""
+    def _request_page(self) -> str:
+        """Request the page; its number.  Raises URLError, OSError."""
         with urlopen(f"http://{self._at}/", timeout=_ANSWER_S) as answer:
-            found = _CLIENT.search(answer.read().decode())
-        if found is None:
+            matched = _CLIENT.search(answer.read().decode())
+        if matched is None:
             raise RuntimeError("the page does not say its number as it used to")
-        return found[1]
+        return matched[1]
 
     def _follow(self, client: str) -> None:
-        """Read what the page is told.  Raises OSError, WebSocketException."""
-        said = {"EIO": 4, "transport": "websocket", "implicit_handshake": "true"}
-        said |= {"client_id": client, "tab_id": client, "document_id": client}
-        query = urlencode({**said, "next_message_id": 0})
+        """Read the updates of the page.  Raises OSError, WebSocketException."""
+        parameters = {"EIO": 4, "transport": "websocket", "implicit_handshake": "true"}
+        parameters |= {"client_id": client, "tab_id": client, "document_id": client}
+        query = urlencode({**parameters, "next_message_id": 0})
         url = f"ws://{self._at}/_nicegui_ws/socket.io/?{query}"
         with connect(url, origin=f"http://{self._at}", open_timeout=_ANSWER_S) as socket:  # type: ignore[arg-type]
             socket.recv(_ANSWER_S)

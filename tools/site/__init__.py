@@ -1,1 +1,1 @@
-"""The manual as a site: pages of docs, and references that are written from the code."""
+"""The manual as a site: pages of docs, and references generated from the code."""

@@ -2,8 +2,8 @@
 
     python -m tools.site.build [-o cell/manual]
 
-Pages are those of docs.  What stands between `<!-- generated: commands -->` and `<!-- end -->` is
-replaced by that reference (`references.py`); a link to a file outside docs keeps its text alone.
+Pages are those of docs.  Text between `<!-- generated: commands -->` and `<!-- end -->` is replaced
+by that reference (`references.py`); a link to a file outside docs is replaced by its text.
 Warnings, dead links among them, are errors.
 """
 
@@ -21,7 +21,7 @@ from tools.site.references import REFERENCES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-#: Parts of the manual in the order of its navigation: caption, pages without their endings.
+#: Parts of the manual in the order of its navigation: caption, pages without suffix.
 PARTS = {
     "Start": ("start/*",),
     "How to": (
@@ -46,7 +46,7 @@ def navigation() -> str:
 
 
 def prepared(page: Path, text: str) -> str:
-    """Text of a page of docs, with its references and without links to files that no site has.
+    """Text of a page of docs, with its references and without links to files outside the site.
 
     raises  KeyError: there is no such reference
     """
@@ -63,7 +63,7 @@ def prepared(page: Path, text: str) -> str:
 
 
 def build(target: Path, folder: Path) -> int:
-    """Write the site to a folder, which is replaced; `folder` is for what is made on the way.
+    """Write the site to a folder, which is replaced; `folder` is for intermediate files.
 
     returns  code of Sphinx, 0 = built without a warning
     """

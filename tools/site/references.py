@@ -1,4 +1,4 @@
-"""References of the manual in Markdown, from what the programs themselves read."""
+"""References of the manual in Markdown, generated from the code."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _command(name: str, command: Any) -> Iterator[str]:
 
 
 def settings() -> str:
-    """Every entry of the settings: unit, limits, default, what it means, an example."""
+    """Every entry of the settings: unit, limits, default, meaning, an example."""
     examples = [yaml.safe_load(p.read_text("utf-8")) for p in sorted(CONFIG.glob("*.yaml"))]
     parts, section = [], ""
     for title, entry in all_settings():
@@ -116,11 +116,11 @@ def all_settings() -> Iterator[tuple[str, SettingsEntry]]:
             yield entry.key[0], entry
         elif entry.key[1:] == ("kind",):
             for kind in kinds[device]:
-                given = {**data, device[0]: {"kind": kind}}
-                used = [e for e in entries(given) if e.key[:1] == device and e.section]
+                variant = {**data, device[0]: {"kind": kind}}
+                used = [e for e in entries(variant) if e.key[:1] == device and e.section]
                 for section in used:
-                    _set(given, section.key, {})
-                inside = (e for e in entries(given) if e.key[:1] == device)
+                    _set(variant, section.key, {})
+                inside = (e for e in entries(variant) if e.key[:1] == device)
                 yield from ((f"{device[0]}, kind: {kind}", e) for e in inside)
 
 
@@ -131,10 +131,10 @@ def _set(data: dict[str, Any], key: Sequence[str], value: Any) -> None:
 
 
 def _section_text(key: Sequence[str]) -> str:
-    """What a section is for, and those within it that are not optional, as paragraphs."""
-    whole = Settings.model_json_schema()
-    node = whole["properties"][key[0]]
-    inner = whole["$defs"].get(node.get("$ref", "").rpartition("/")[2], {})
+    """Descriptions of a section and its required subsections, as paragraphs."""
+    schema = Settings.model_json_schema()
+    node = schema["properties"][key[0]]
+    inner = schema["$defs"].get(node.get("$ref", "").rpartition("/")[2], {})
     lines = [inner.get("description", "").partition("\n\n")[0]]
     for name, part in inner.get("properties", {}).items():
         if "$ref" in part and part.get("description"):
@@ -167,13 +167,13 @@ def _at(node: Any, keys: Sequence[str]) -> Any:
 
 
 def checks() -> str:
-    """The checks of a diagnosis, of what many cables teach, and of a study's data."""
+    """The checks of a diagnosis, of learning from many cables, and of a study's data."""
     parts = ("## Of a diagnosis", diagnosis_checks(), "## Of learning from many cables")
     return "\n\n".join((*parts, line_checks(), "## Of a study's data", data_checks()))
 
 
 def _table(table: Sequence[Check[Any]], rules: object) -> list[str]:
-    """Checks: their limits, what a failure says, and why the limit is what it is."""
+    """Checks: their limits, messages of a failure, and reasons of the limits."""
     lines = ["| check | question | passes if | if not |", "|---|---|---|---|"]
     for c in table:
         limit = f"{c.unit} {c.passes} {getattr(rules, c.limit):g}"
@@ -198,12 +198,12 @@ def diagnosis_checks() -> str:
 
 
 def line_checks() -> str:
-    """The checks of what many cables teach, and the gates of a candidate."""
+    """The checks of learning from many cables, and the gates of a candidate."""
     return "\n".join(_table((*LEARNING, *GATES), LineRules()))
 
 
 def data_checks() -> str:
-    """The checks of a study's data: question, statistic, limit, what a failure says."""
+    """The checks of a study's data: question, statistic, limit, message of a failure."""
     lines = ["| check | question | if not |", "|---|---|---|"]
     lines += [f"| `{c.name}` | {c.question} | {c.outcome} |" for c in DATA_CHECKS]
     lines += ["", "The statistic and its limit, and what a check that fails says:", ""]
@@ -217,7 +217,7 @@ def data_checks() -> str:
 
 
 def api() -> str:
-    """What `import cell` offers, what its results consist of, and the interfaces of devices."""
+    """Functions of `import cell`, its results, and the interfaces of devices."""
     chapters = {
         "Functions and data": [getattr(cell, name) for name in cell.__all__],
         "Parts of results": [FittedModel, Identified, *_classes(results)],
@@ -226,7 +226,7 @@ def api() -> str:
     }
     parts = []
     for title, things in chapters.items():
-        parts += [f"## {title}", *(_described(thing) for thing in things)]
+        parts += [f"## {title}", *(_description(thing) for thing in things)]
     return "\n\n".join(parts)
 
 
@@ -236,8 +236,8 @@ def _classes(module: ModuleType) -> list[type]:
     return [thing for thing in own if thing.__module__ == module.__name__]
 
 
-def _described(thing: Any) -> str:
-    """Signature and docstring of a function, or of a class and what it has of this project."""
+def _description(thing: Any) -> str:
+    """Signature and docstring of a function, or of a class with its members of this project."""
     name = thing.__name__
     parts = [f"### {name}", _signature(name, thing), _docstring(thing)]
     if inspect.isclass(thing) and issubclass(thing, Section):
@@ -268,7 +268,7 @@ def _signature(name: str, thing: Any) -> str:
     text = re.sub(r"<function (\w+) at \w+>", r"\1", text)
     text = re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w+)", r"\1", text)
     if len(name) + len(text) > 80:
-        text = re.sub(r"\((.*)\)( ->.*)?$", lambda m: _broken(m[1]) + (m[2] or ""), text)
+        text = re.sub(r"\((.*)\)( ->.*)?$", lambda m: _break_lines(m[1]) + (m[2] or ""), text)
     return f"```python\n{name}{text}\n```"
 
 
@@ -276,7 +276,7 @@ def _is_protocol(thing: type) -> bool:
     return getattr(thing, "_is_protocol", False)
 
 
-def _broken(parameters: str) -> str:
+def _break_lines(parameters: str) -> str:
     """Parameters of a signature, one a line."""
     depth, lines = 0, [""]
     for sign in parameters:
@@ -289,7 +289,7 @@ def _broken(parameters: str) -> str:
 
 
 def _docstring(thing: Any) -> str:
-    """The sentences as text; the table of parameters as it stands."""
+    """The sentences as text; the table of parameters verbatim."""
     paragraphs = (inspect.getdoc(thing) or "").split("\n\n")
     parts = []
     for paragraph in paragraphs:

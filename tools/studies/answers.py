@@ -13,7 +13,7 @@ from tools.worlds.known_truth import SHOWS, class_of
 class StudyAnswer:
     """A study and the result of its diagnosis.
 
-    named, partial  effects joined by "+", ties by "|"; also of `cannot_tell`, which claims nothing
+    named, partial  effects joined by "+", ties by "|"; also for `cannot_tell`, which claims nothing
     noise_ratio     estimated over true noise; error_ratio: baseline's larger error over true noise
     knots           of EI(s)
     values          of the named effects' parameters
@@ -44,7 +44,7 @@ class StudyAnswer:
     accepted: str = ""
 
     @property
-    def seen(self) -> bool:
+    def detectable(self) -> bool:
         return self.power >= SHOWS
 
     @property
@@ -61,7 +61,7 @@ class StudyAnswer:
 
     @property
     def wrong(self) -> bool:
-        """Whether something is claimed that is not there, or complete called what is not."""
+        """Whether a claimed effect is absent, or an incomplete model is called complete."""
         claimed = self.verdict == "missing" and self.names_other(self.named)
         return claimed or (self.source == "rigs" and self.false_complete)
 
@@ -71,13 +71,13 @@ class StudyAnswer:
 
     @property
     def right_in_part(self) -> bool:
-        """Whether what explains most is there, the hidden effects among it."""
+        """Whether the partial effects are hidden ones."""
         named = {n for names in _sets(self.partial) for n in names}
         there = all(class_of([h]) & named for h in self._hidden)
         return bool(self.partial) and there and not self.names_other(self.partial)
 
     def names_all(self, text: str) -> bool:
-        """Whether all that is hidden is named, and nothing that is not there."""
+        """Whether all hidden effects are named, and no absent one."""
         named, there = _sets(text), [*self._hidden, *_split(self.unsaid)]
         worth = [1.0 + (h in self._hidden) for h in there]
         gain = [
@@ -88,7 +88,7 @@ class StudyAnswer:
         return {*self._hidden} <= {*matched} and len(matched) == len(named)
 
     def names_other(self, text: str) -> bool:
-        """Whether a class of tied effects holds nothing that is there."""
+        """Whether a class of tied effects contains no hidden effect."""
         there = class_of([*self._hidden, *_split(self.unsaid)])
         return any(not names & there for names in _sets(text))
 

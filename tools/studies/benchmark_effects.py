@@ -1,4 +1,4 @@
-"""Benchmark of hidden effects: what this lab and its peers claim of studies with a known truth.
+"""Benchmark of hidden effects: claims of this lab and its peers about studies with a known truth.
 
     python -m tools.studies.benchmark_effects FOLDER --seed SEED [--share 0.1] [--entrants NAME …]
                               [--claims NAME=FILE.csv …] [--table FILE.csv] [--search]
@@ -6,19 +6,19 @@
 The full benchmark has 300 studies, over the conditions of the Validation page: 100 complete, 120
 with one effect, 40 with a pair and 40 with a law outside the library.  A sixth, but of no pairs, is
 by MuJoCo, which shares no code with the model; the others are by this project's engine on meshes
-that are extrapolated.  An ideal test would see what is hidden (power 0.8), or it is drawn again.
+that are extrapolated.  A study is drawn again if an ideal test misses its effect (power < 0.8).
 
-Entrants (`entrants.py`) run one by one, each in a process of its own.  All it has is a copy of one
-study, in random order and without names that tell; the folder, with `truth.csv`, and all other
-processes are hidden from it.  Others enter with a file of claims on FOLDER/studies, with columns
-`study`, `claim`, `probability`; a claim is `complete`, `outside`, or effects joined by `+`, with
-`|` between tied ones.  What is there is kept, so that a stopped benchmark goes on.
+Entrants (`entrants.py`) run one by one, each in a separate process.  Its only input is a copy of
+one study, in random order and with anonymous names; the folder, with `truth.csv`, and all other
+processes are hidden from it.  External entrants provide a file of claims on FOLDER/studies, with
+columns `study`, `claim`, `probability`; a claim is `complete`, `outside`, or effects joined by `+`,
+with `|` between tied ones.  Existing results are kept, so that a stopped benchmark goes on.
 
 A claim counts if its probability is at least 0.5, and no tie has more than four members; else the
-entrant abstains.  It is *in part* right if it names only effects that are there, but not all.  Any
-other false statement is *wrong*: also `complete` or `outside`, if an effect of the library is
-there.  The log score is the mean of ln p of the truth, where the members of a tie share p, and what
-is left open is shared by all claims of at most two effects.  Intervals: 95 %, Clopper–Pearson.
+entrant abstains.  It is *in part* right if it names only hidden effects, but not all.  Any other
+false statement is *wrong*: also `complete` or `outside`, if an effect of the library is hidden.
+Log score: mean of ln p of the truth, where the members of a tie share p, and all claims of at most
+two effects share the remaining probability.  Intervals: 95 %, Clopper–Pearson.
 """
 
 from __future__ import annotations
@@ -56,19 +56,19 @@ from tools.worlds.known_truth import SHOWS
 
 ROOT = Path(__file__).parents[2]
 FULL = {"complete": 100, "one": 120, "pair": 40, "outside": 40}
-#: Kinds of the worlds by class of what is hidden; of these one in `BY_MUJOCO` is by MuJoCo.
+#: Kinds of the worlds by class of the hidden effects; one in `BY_MUJOCO` of these is by MuJoCo.
 KINDS = {"complete": "complete", "one": "one", "pair": "pair", "outside": "law"}
 BY_MUJOCO, ATTEMPTS, SEEDS = 6, 20, 10_000
 THRESHOLDS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.985, 0.995)
 USUAL = 0.5
-#: Effects of a tie, at most: who names more has not decided.
+#: Largest tie of a claim: an entrant that names more effects abstains.
 MOST_TIED = 4
-#: Share of every log score that is that of a guess, so that no claim costs infinitely much.
+#: Weight of a uniform guess in every log score, which makes it finite.
 GUESS = 1e-3
 OUTCOMES = ("right", "in part", "abstained", "wrong")
-#: An entrant may take so long for a study, s of wall clock.
+#: Time limit of an entrant for a study, s of wall clock.
 PATIENCE_S = 1800.0
-#: The truth is hidden before anything of the entrant is loaded.
+#: The truth is hidden before the entrant's code is loaded.
 CHILD = """
 import sys; from pathlib import Path; from cell.computer.confinement import hide
 name, study, result, secret = sys.argv[1:]; hide(Path(secret))
@@ -78,7 +78,7 @@ from tools.studies.benchmark_effects import enter; enter(name, Path(study), Path
 
 @dataclass(frozen=True)
 class Truth:
-    """What is hidden in a study: its class, names joined by "+", and how it is made again."""
+    """Truth of a study: class and names of hidden effects, joined by "+", and how to make it."""
 
     study: str
     hidden: str
@@ -93,7 +93,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Entry:
-    """What an entrant claims of a study, as JSON; `failed`: why it does not."""
+    """Claims of an entrant about a study, as JSON; `failed`: why it has none."""
 
     study: str
     entrant: str
@@ -104,34 +104,34 @@ class Entry:
 
 
 def cases(seed: int, share: float, changed: dict[str, float]) -> Iterator[tuple[str, str, Case]]:
-    """Name, class and case of the studies: of each class a share, in random order."""
-    found = []
+    """Name, class and case of the studies: a share of each class, in random order."""
+    listed = []
     for hidden, count in FULL.items():
         for i in range(count):
             by_mujoco = hidden != "pair" and i % BY_MUJOCO == BY_MUJOCO - 1 and not changed
             source, number = ("mujoco", i // BY_MUJOCO) if by_mujoco else ("breadth", i)
-            found.append((hidden, Case(source, KINDS[hidden], str(number), seed, count, changed)))
-    left = {hidden: max(1, round(share * count)) for hidden, count in FULL.items()}
-    for place, i in enumerate(np.random.default_rng([seed, 6]).permutation(len(found))):
-        hidden, case = found[i]
-        left[hidden] -= 1
-        if left[hidden] >= 0:
+            listed.append((hidden, Case(source, KINDS[hidden], str(number), seed, count, changed)))
+    remaining = {hidden: max(1, round(share * count)) for hidden, count in FULL.items()}
+    for place, i in enumerate(np.random.default_rng([seed, 6]).permutation(len(listed))):
+        hidden, case = listed[i]
+        remaining[hidden] -= 1
+        if remaining[hidden] >= 0:
             yield f"study_{place:03d}", hidden, case
 
 
 def make_studies(folder: Path, wanted: Iterable[tuple[str, str, Case]]) -> list[Truth]:
-    """Make those of the studies that the folder lacks; its `truth.csv` says what they hide."""
+    """Make the missing studies of the folder, and list their truths in `truth.csv`."""
     folder.mkdir(parents=True, exist_ok=True)
-    asked = {each[0]: each for each in wanted}
+    by_name = {each[0]: each for each in wanted}
     done = {t.study for t in read_rows(folder / "truth.csv", Truth)}
-    rows = (_made(folder, *each) for name, each in asked.items() if name not in done)
+    rows = (_made(folder, *each) for name, each in by_name.items() if name not in done)
     for truth in added_rows(folder / "truth.csv", Truth, rows):
         print(f"{truth.study} is made", flush=True)
-    return [t for t in read_rows(folder / "truth.csv", Truth) if t.study in asked]
+    return [t for t in read_rows(folder / "truth.csv", Truth) if t.study in by_name]
 
 
 def _made(folder: Path, name: str, hidden: str, case: Case) -> Truth:
-    """Make a study that shows what is hidden, by other seeds if need be."""
+    """Make a study with a detectable effect, with further seeds if necessary."""
     for attempt in range(ATTEMPTS):
         again, study = replace(case, seed=case.seed + SEEDS * attempt), folder / "studies" / name
         with suppress(DivergedError, UnsettledError), made(again) as there:
@@ -147,7 +147,7 @@ def _made(folder: Path, name: str, hidden: str, case: Case) -> Truth:
 
 
 def enter(name: str, study: Path, result: Path) -> None:
-    """Write what an entrant claims of a study; in a process that has nothing else."""
+    """Write the claims of an entrant about a study; in an isolated process."""
     from tools.processes import own_cpu_s
 
     before_s, claims, failed = own_cpu_s(), Claims(), ""
@@ -161,8 +161,8 @@ def enter(name: str, study: Path, result: Path) -> None:
 
 
 def entered(name: str, study: Path, secret: Path, child: str = CHILD) -> Entry:
-    """An entrant's claims on a copy of a study, by a process from which `secret` is hidden."""
-    kept = {k: os.environ[k] for k in ("PATH", "HOME", "LANG") if k in os.environ}
+    """An entrant's claims about a copy of a study, from a process without access to `secret`."""
+    env = {k: os.environ[k] for k in ("PATH", "HOME", "LANG") if k in os.environ}
     with TemporaryDirectory() as root:
         copy, result = Path(root) / "study", Path(root) / "result.json"
         shutil.copytree(study, copy)
@@ -170,15 +170,15 @@ def entered(name: str, study: Path, secret: Path, child: str = CHILD) -> Entry:
             subprocess.run(
                 [sys.executable, "-c", child, name, copy, result, secret], cwd=root,
                 timeout=PATIENCE_S, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                env={**kept, "PYTHONPATH": str(ROOT), "TMPDIR": root, "OPENBLAS_NUM_THREADS": "1"},
+                env={**env, "PYTHONPATH": str(ROOT), "TMPDIR": root, "OPENBLAS_NUM_THREADS": "1"},
             )  # fmt: skip
-            found = json.loads(result.read_text(encoding="utf-8"))
+            data = json.loads(result.read_text(encoding="utf-8"))
         except subprocess.TimeoutExpired:
-            found = {"claims": {}, "failed": f"takes more than {PATIENCE_S:g} s", "cpu_s": nan}
+            data = {"claims": {}, "failed": f"takes more than {PATIENCE_S:g} s", "cpu_s": nan}
         except subprocess.CalledProcessError as error:
             raise RuntimeError(f"{name} does not run: {error.stderr.decode()[-500:]}") from error
-    claims = json.dumps(found["claims"])
-    return Entry(study.name, name, versions(name), claims, found["cpu_s"], found["failed"])
+    claims = json.dumps(data["claims"])
+    return Entry(study.name, name, versions(name), claims, data["cpu_s"], data["failed"])
 
 
 def versions(name: str) -> str:
@@ -187,7 +187,7 @@ def versions(name: str) -> str:
 
 
 def run(folder: Path, truths: Sequence[Truth], names: Sequence[str]) -> dict[str, str]:
-    """Let entrants claim of each study what they have not yet; why some are skipped, by name."""
+    """Run entrants on the studies without their claims; reasons of skipped entrants, by name."""
     skipped = {}
     for name in names:
         try:
@@ -201,10 +201,10 @@ def run(folder: Path, truths: Sequence[Truth], names: Sequence[str]) -> dict[str
     rows = (entered(name, folder / "studies" / study, folder) for study, name in todo)
     began_s = time.monotonic()
     for count, entry in enumerate(added_rows(file, Entry, rows), 1):
-        left_min = (time.monotonic() - began_s) / count * (len(todo) - count) / 60.0
+        remaining_min = (time.monotonic() - began_s) / count * (len(todo) - count) / 60.0
         best = max(json.loads(entry.claims).items(), key=lambda c: c[1], default=("–", nan))
         print(f"{count} of {len(todo)}  {entry.study} {entry.entrant}: {best[0]} {best[1]:.2f} "
-              f"{entry.failed} ({entry.cpu_s:.0f} s; about {left_min:.0f} min left)",
+              f"{entry.failed} ({entry.cpu_s:.0f} s; about {remaining_min:.0f} min left)",
               flush=True)  # fmt: skip
     return skipped
 
@@ -265,13 +265,13 @@ def scores(truths: Sequence[Truth], entries: Sequence[Entry]) -> list[dict[str, 
             here = [row for row in mine if hidden in ("all", row[0].hidden)]
             for threshold in THRESHOLDS if hidden == "all" else (USUAL,):
                 if here:
-                    rows.append(_scored(name, hidden, threshold, here))
+                    rows.append(_score(name, hidden, threshold, here))
     return rows
 
 
-def _scored(name: str, hidden: str, threshold: float, here: Sequence[tuple]) -> dict[str, object]:
-    found = [outcome(truth, claims, threshold) for truth, claims, _ in here]
-    counts = {o.replace(" ", "_"): found.count(o) for o in OUTCOMES}
+def _score(name: str, hidden: str, threshold: float, here: Sequence[tuple]) -> dict[str, object]:
+    outcomes = [outcome(truth, claims, threshold) for truth, claims, _ in here]
+    counts = {o.replace(" ", "_"): outcomes.count(o) for o in OUTCOMES}
     ends = {}
     for of in ("right", "wrong"):
         interval = binomtest(counts[of], len(here)).proportion_ci(method="exact")
@@ -297,8 +297,8 @@ def table(rows: Sequence[dict[str, object]]) -> Iterator[str]:
 
 
 def search(folder: Path, truths: Sequence[Truth]) -> Iterator[str]:
-    """What PySINDy claims of studies with other settings, a line each."""
-    found: dict[tuple[float, float, int], list[tuple[str, float]]] = {}
+    """Claims of PySINDy with other settings, a line each."""
+    by_settings: dict[tuple[float, float, int], list[tuple[str, float]]] = {}
     for truth, frames in itertools.product(truths, (7, 11, 21)):
         fits = entrants.fits_of(folder / "studies" / truth.study)
         if (regressed := entrants.accelerations(fits, frames)) is None:
@@ -306,8 +306,8 @@ def search(folder: Path, truths: Sequence[Truth]) -> Iterator[str]:
         for threshold, ridge in itertools.product((0.02, 0.05, 0.1, 0.2, 0.4), (1e-3, 0.05, 1.0)):
             claims = entrants.selected(fits, *regressed, threshold, ridge)
             result = outcome(truth, claims), log_score(truth, claims)
-            found.setdefault((threshold, ridge, frames), []).append(result)
-    for settings, results in found.items():
+            by_settings.setdefault((threshold, ridge, frames), []).append(result)
+    for settings, results in by_settings.items():
         outcomes, logs = zip(*results, strict=True)
         counts = {o: outcomes.count(o) for o in OUTCOMES}
         yield f"PySINDy {settings}: {counts}, log score {np.mean(logs):.2f}"

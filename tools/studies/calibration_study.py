@@ -5,15 +5,15 @@
     python -m tools.studies.calibration_study --setups 40 --grip
 
 Every set-up has its own camera (k1 −0.3 … 0.1, tilt to 30°, pan, roll, focal length, blur, noise),
-robot base, jaw and board, all known; its pictures are rendered and then calibrated as live ones
-are, with the gripper turned out of the plane as well.  Peers: `cv2.calibrateCamera` with
+robot base, jaw and board, all known; its pictures are rendered and then calibrated like live ones,
+with the gripper turned out of the plane as well.  Peers: `cv2.calibrateCamera` with
 `cv2.calibrateHandEye` (Park, Daniilidis), on the same pictures.
 
-With `--time` latency and lag instead: the motion of a calibration in cells whose arm, rates, noise
-and delays are drawn, seen by a camera whose map is a little wrong.
+With `--time` latency and lag instead: the motion of a calibration in cells with random arm, rates,
+noise and delays, filmed by a camera with a small error of its map.
 
-With `--grip` gripping point, clamp angle and free length: hidden cables with a rest curvature of
-their own, marks glued elsewhere and askew, in twelve poses, seen through a map that is wrong by
+With `--grip` gripping point, clamp angle and free length: hidden cables with their own rest
+curvature, displaced and rotated marks, in twelve poses, filmed through a map with an error of
 `MAP_M`.
 """
 
@@ -87,7 +87,7 @@ class Setup:
         self.look = RenderOptions(
             lens_blur_px=rng.uniform(0.5, 1.0), read_noise=rng.uniform(0.5, 2.0), scene_seed=seed
         )
-        # gravity departs from the stated up by what is allowed for, in both directions
+        # gravity departs from the stated up by the tolerance, in both directions
         off = rng.normal(0.0, LEVEL_RAD, 2)
         self.X_BP = pose(np.array([off[0], rng.normal(0.0, 0.01), off[1], 0.3, -0.1, 0.2]))
         self.X_TM = pose(np.concatenate([rng.normal(0, 0.008, 3), rng.normal(0, 1e-3, 3)]))
@@ -112,8 +112,8 @@ class Setup:
 
     def shown(self, count: int) -> list[JawObservation]:
         """The plate at rest in random poses, turned out of the plane by 20° at most."""
-        found: list[JawObservation] = []
-        while len(found) < count:
+        poses: list[JawObservation] = []
+        while len(poses) < count:
             turn = [*self.rng.uniform(-0.35, 0.35, 2), self.rng.uniform(-0.3, 0.3)]
             place = [self.rng.uniform(-0.10, 0.0), self.rng.uniform(-0.11, 0.01)]
             X_PM = pose(np.array([*turn, *place, self.rng.normal(0.0, 0.02)]))
@@ -121,12 +121,12 @@ class Setup:
             image = render(None, X_PM, self.eye, self.look, self.rng)
             plate = find_plate(image, MARKS_M, RADIUS_M)
             if plate is not None:
-                said = X_BT.copy()
-                said[:3, 3] += self.rng.normal(0.0, ARM_M, 3)
-                found.append(
-                    JawObservation(f"pose {len(found)}", said, plate.pixels, plate.smear_px)
+                X_log = X_BT.copy()
+                X_log[:3, 3] += self.rng.normal(0.0, ARM_M, 3)
+                poses.append(
+                    JawObservation(f"pose {len(poses)}", X_log, plate.pixels, plate.smear_px)
                 )
-        return found
+        return poses
 
     def gravity(self) -> Gravity:
         options, rng = self.look, self.rng
@@ -179,10 +179,10 @@ def timed(seed: int) -> dict[str, float]:
     noisy = [v + rng.normal(0.0, arm_m, len(v)) for v in (x, y)]
     hand = Trajectory(t_s, *noisy, np.zeros(len(t_s)))
     exposed_s = np.arange(rng.uniform(0.1, 0.12), t_s[-1], 1.0 / frames_hz)
-    seen_m = np.stack([np.interp(exposed_s, t_s, v) for v in (x, y)], axis=1)
+    observed_m = np.stack([np.interp(exposed_s, t_s, v) for v in (x, y)], axis=1)
     wrong = np.eye(2) + rng.normal(0.0, 3e-4, (2, 2))
-    seen_m = seen_m @ wrong + rng.normal(0.0, mark_m, seen_m.shape)
-    latency = camera_latency(exposed_s + latency_s, seen_m, hand)
+    observed_m = observed_m @ wrong + rng.normal(0.0, mark_m, observed_m.shape)
+    latency = camera_latency(exposed_s + latency_s, observed_m, hand)
     lag = arm_lag(commanded, hand)
     return {
         "seed": float(seed),
@@ -197,7 +197,7 @@ def gripped(seed: int) -> dict[str, float]:
     """Errors of gripping point, clamp angle and free length, and their half widths: mm, degrees."""
     setup, settings = Setup(seed), load_settings(Path("config/fake.yaml"))
     rng = setup.rng
-    beside_m, askew, longer_m = rng.normal(0, 3e-4, 2), rng.normal(0, 0.01), rng.normal(0, 1e-3)
+    displaced_m, askew, longer_m = rng.normal(0, 3e-4, 2), rng.normal(0, 0.01), rng.normal(0, 1e-3)
     effects = {
         "grip_slip": {"length_m": longer_m},
         "natural_curvature": {
@@ -209,7 +209,7 @@ def gripped(seed: int) -> dict[str, float]:
     hidden = hidden_cable(settings.model_copy(update={"world": world}), seed, 1)
     shape = cable_shape(hidden, 120)
     turn = np.array([[np.cos(askew), -np.sin(askew)], [np.sin(askew), np.cos(askew)]])
-    glued = (MARKS_M - beside_m) @ turn
+    glued = (MARKS_M - displaced_m) @ turn
     look = replace(
         setup.look,
         marks_m=tuple((x, y, RADIUS_M) for x, y in glued.tolist()),
@@ -229,7 +229,7 @@ def gripped(seed: int) -> dict[str, float]:
         poses.append(ShownPose("fit", goal, NamedImage(f"{len(poses)}", mean)))
     views, _ = views_of(ShownCell(tuple(poses)), view, settings)
     fit = fit_grip(views, MAP_M * np.sqrt(2.0) * 2.0 / 3.0)  # the corners' error, over the picture
-    off = np.abs(fit.mean - [*beside_m, askew, 0.1 + longer_m])
+    off = np.abs(fit.mean - [*displaced_m, askew, 0.1 + longer_m])
     unit = np.array([1e3, 1e3, np.degrees(1.0), 1e3])
     row = {"seed": float(seed)}
     for name, error, half in zip(GRIP, unit * off, unit * fit.half_95, strict=True):
@@ -258,7 +258,7 @@ def opencv_view(
     """Map by OpenCV alone: lens, poses of the plate one by one, gripper–eye, mean plate in the
     tool.
 
-    It is given the true plane against its own plate: only camera, robot and plate are its own.
+    It gets the true plane relative to its own plate: only camera, robot and plate are estimated.
     """
     _, K, distortion, _, _ = cv2.calibrateCamera(
         [BOARD.corners_m[v.ids].astype(np.float32) for v in views],
@@ -334,7 +334,7 @@ def main() -> None:
 def summary(
     columns: dict[str, np.ndarray], quantities: tuple[tuple[str, str], ...]
 ) -> Iterator[str]:
-    """Lines of errors, and of how often they lie within their bounds; of a map also the peers'."""
+    """Lines of errors, and the share within their bounds; for a map also those of the peers."""
     for name, bound in quantities:
         off = columns[name]
         line = f"  {name:14} median {np.median(off):.4f} rms {rms(off):.4f} largest {off.max():.4f}"

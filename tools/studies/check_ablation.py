@@ -1,7 +1,7 @@
-"""Ablation of the checks of a verdict: verdicts of studies with each check left out.
+"""Ablation of the checks of a verdict: verdicts of studies without each check.
 
-Of each study all checks are computed for the model that the search ended at, whatever failed
-before.  So the verdict without a check, or with another limit, follows from the kept statistics.
+For each study all checks are computed for the final model of the search, even after a failure.  So
+the verdict without a check, or with a different limit, follows from the stored statistics.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from tools.studies.answers import StudyAnswer
 
 
 def check_values(examination: Examination) -> dict[str, float]:
-    """The statistic of every check that has one, for the model that the search ended at."""
+    """The statistic of every check that has one, for the final model of the search."""
     evidence = _evidence(examination)
     readings = {check.name: check.evaluate(evidence).reading for check in CHECKS}
     return {name: float(r.value) for name, r in readings.items() if r is not None}
 
 
 def accepted_by(examination: Examination) -> str:
-    """Effects that the search ended at, joined by "+" and ties by "|"."""
+    """Effects of the final model of the search, joined by "+" and ties by "|"."""
     evidence = _evidence(examination)
     return "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
 
@@ -42,7 +42,7 @@ def _evidence(examination: Examination) -> Evidence:
 def verdict_of(
     row: StudyAnswer, without: str = "", limits: Mapping[str, float] | None = None
 ) -> str:
-    """Verdict that follows from a row's statistics, without a check or with other limits."""
+    """Verdict from a row's statistics, without a check or with other limits."""
     if row.verdict in ("refused", "crash", "not made"):
         return row.verdict
     values, outcomes = json.loads(row.statistics), []
@@ -57,7 +57,7 @@ def verdict_of(
 
 
 def answer(row: StudyAnswer, verdict: str, named: str) -> str:
-    """`right`, `wrong` (something is claimed that is not so) or `no answer`."""
+    """`right`, `wrong` (a false claim) or `no answer`."""
     claim = replace(row, verdict=verdict, named=named)
     if claim.right:
         return "right"
@@ -66,11 +66,11 @@ def answer(row: StudyAnswer, verdict: str, named: str) -> str:
 
 
 def table(rows: Sequence[StudyAnswer], limits: Mapping[str, float]) -> Iterator[str]:
-    """Lines in Markdown: answers by kind with every check, and without each.
+    """Lines in Markdown: answers by kind with all checks, and without each.
 
     limits  other limits of checks, by name; a line each
     """
-    counted = [r for r in rows if r.seen and r.verdict not in ("crash", "not made")]
+    counted = [r for r in rows if r.detectable and r.verdict not in ("crash", "not made")]
     kinds = list(dict.fromkeys(r.kind for r in counted))
 
     def with_checks(

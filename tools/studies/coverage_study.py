@@ -1,8 +1,8 @@
 """Do the 95 % intervals of `map` cover the truth in 95 of 100 cables?
 
 Cables with random EI(s), N and viscosity, in a world of finer mesh and half the time step, each
-identified as the cell does it: from rendered pictures (`--pictures`, 3 s a cable), or from nodes
-with coloured noise, errors that stay the same throughout, and a noisy log (0.1 s a cable).
+identified as in the cell: from rendered pictures (`--pictures`, 3 s a cable), or from nodes with
+autocorrelated noise, constant errors, and a noisy log (0.1 s a cable).
 `python -m tools.studies.coverage_study [--cables 100] [--seed 0] [--pictures]`
 """
 
@@ -30,13 +30,13 @@ from cell.study.data import Trial
 from cell.vision.detect import VisionOptions, detect_all
 from drivers.interfaces import Image
 from drivers.sim.render import Rates, RenderOptions, render
-from tools.worlds.fast_truth import Bias, Errors, gripper_seen, pictured
+from tools.worlds.fast_truth import Bias, Errors, observed_gripper, pictured
 from tools.worlds.made_studies import CABLE, FRAME_S, WORLD, logged
 from tools.worlds.paper_world import NODES_M, hold
 
 VIEW = PlaneView.from_scale(2e-4, 800.0, 300.0)
-#: Where EI(s) is asked for: every fifth of a segment where the still cable bends by more than
-#: this share of its largest curvature.
+#: EI(s) is evaluated at every fifth of a segment where the still cable bends by more than this
+#: share of its largest curvature.
 BENDS = 0.2
 PLACES_M = np.linspace(0.0, 0.1, 51)
 
@@ -67,13 +67,13 @@ def random_cable(rng: np.random.Generator) -> CableModel:
 
 
 def measured(model: CableModel, motion: Motion, errors: Errors, rng: np.random.Generator) -> Trial:
-    """Trial of a cable's hold as the cell would measure it: nodes with noise, and a noisy log."""
+    """Trial of a cable's hold as measured by the cell: nodes with noise, and a noisy log."""
     t_s = np.arange(0.001, motion.t_s[-1], FRAME_S)
     nodes = simulate(model, motion, t_s, NODES_M, solver=WORLD)[0]
-    # the end is seen too far or too short, which shifts all nodes of equal arc length
-    seen_m = pictured(nodes, Bias.drawn(rng, errors, len(NODES_M)), errors, rng)
+    # the end is detected too far or too short, which shifts all nodes of equal arc length
+    observed_m = pictured(nodes, Bias.drawn(rng, errors, len(NODES_M)), errors, rng)
     log = logged(rng, motion, errors.log_m)
-    return hold_trial(log, t_s, seen_m, *gripper_seen(motion, t_s, errors, rng))
+    return hold_trial(log, t_s, observed_m, *observed_gripper(motion, t_s, errors, rng))
 
 
 def photographed(
@@ -113,25 +113,25 @@ def photographed(
     )
 
 
-def judge(model: CableModel, found: Identified, motion: Motion) -> CableCoverage:
+def judge(model: CableModel, estimate: Identified, motion: Motion) -> CableCoverage:
     """Errors of an identified cable, and whether its intervals cover the truth."""
     still = simulate(model, motion, motion.t_s[:2], PLACES_M, solver=WORLD)[0, 0]
     heading = np.unwrap(np.arctan2(*np.diff(still, axis=0).T[::-1]))
     curvature = np.append(np.abs(np.diff(heading)), [0.0, 0.0])
     bends = curvature > BENDS * curvature.max()
     places = PLACES_M[bends]
-    error = np.log(found.model.rigidity_at(places) / model.rigidity_at(places))
-    low, high = found.interval()
+    error = np.log(estimate.model.rigidity_at(places) / model.rigidity_at(places))
+    low, high = estimate.interval()
     exponent, viscosity = model.exponent, model.viscosity_n_m2_s
     return CableCoverage(
         error,
-        np.abs(error) <= 1.96 * found.rigidity_log_std(places),
-        found.values[-2] - exponent,
+        np.abs(error) <= 1.96 * estimate.rigidity_log_std(places),
+        estimate.values[-2] - exponent,
         bool(low[-2] <= exponent <= high[-2]),
-        float(np.log(found.values[-1] / viscosity)),
+        float(np.log(estimate.values[-1] / viscosity)),
         bool(low[-1] <= viscosity <= high[-1]),
-        found.residual_rms_m / found.noise.std_m,
-        found.inflation,
+        estimate.residual_rms_m / estimate.noise.std_m,
+        estimate.inflation,
     )
 
 
@@ -149,8 +149,8 @@ def study(
         rng = np.random.default_rng([seed, i])
         model = random_cable(rng)
         trial = look(model, motion, errors, rng)
-        found = identify(trial, NODES_M, CABLE, options=options)
-        outcomes.append(judge(model, found, motion))
+        estimate = identify(trial, NODES_M, CABLE, options=options)
+        outcomes.append(judge(model, estimate, motion))
     return outcomes
 
 

@@ -9,21 +9,21 @@
 Sources, each with kinds and how many of them:
 
     --made      usual studies (`made_studies.py`): `complete`; `step`, complete with a step of EI;
-                `one` effect hidden; `unknown`, that effect taken out of the library; `pair`;
-                `mixed`, a pair whose second is taken out; `prior`, beside a model of another cable
-                that is no model of this one
-    --breadth   the breadth of what users bring (`breadth_world.py`): `complete`, `one`, `outside`;
+                `one` effect hidden; `unknown`, that effect removed from the library; `pair`;
+                `mixed`, a pair whose second is removed; `prior`, with a wrong prior from a model
+                of an earlier cable
+    --breadth   the range of users' studies (`breadth_world.py`): `complete`, `one`, `outside`;
                 --uneven, --pixel and --colour set a condition for all of them
     --rigs      imitated rigs (`rigs.py`), one effect hidden in each: `all` features, or one kind
                 of rig; `complete=60` hides nothing
     --mujoco    made by MuJoCo (`mujoco_studies.py`): `complete`; `step` of EI; `mass`, 2 % at 60 %
-    --practice, --real   of `../shared/data` beside the project; real ones have no known answer
+    --practice, --real   of `../shared/data` next to the project; real ones have no known answer
 
-Each study is a row of the file as soon as it is judged; rows that are there are kept, so that a
-stopped study goes on.  Only effects that a test which knows the truth would see count as seen
-(power 0.8, `known_truth.py`).  With --checks the table also says what each check of the verdict is
-worth (`check_ablation.py`).  A study that the lab refuses with an error is `refused`.  Ends with
-1 if anything is claimed that is not there.
+Each study is a row of the file as soon as it is judged; existing rows are kept, so that a stopped
+study goes on.  An effect counts as seen if an ideal test that knows the truth detects it (power
+0.8, `known_truth.py`).  With --checks the table also has the effect of each check of the verdict
+(`check_ablation.py`).  A study that the lab refuses with an error is `refused`.  Ends with 1 if any
+claimed effect is absent.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ def judged(case: Case, checks: bool) -> StudyAnswer:
     blank = StudyAnswer(case.source, case.kind, case.number, "", "", 0.0, "not made")
     try:
         with made(case) as there:
-            return _diagnosed(case, there, checks)
+            return _diagnose(case, there, checks)
     except (DivergedError, UnsettledError) as error:
         return replace(blank, refused=_short(error))
     except Exception as error:
         return replace(blank, verdict="crash", refused=f"{type(error).__name__}: {_short(error)}")
 
 
-def _diagnosed(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
+def _diagnose(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
     names, unsaid = "+".join(there.hidden), "+".join(there.unsaid)
     row = StudyAnswer(
         case.source, case.kind, case.number, names, unsaid, round(there.power, 3), "refused"
@@ -75,25 +75,25 @@ def _diagnosed(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
     try:
         fits = set_up(there.folder, there.selection, there.prior)
         examination = examined(fits)
-        found = diagnosed(examination, there.folder).diagnosis
+        diagnosis = diagnosed(examination, there.folder).diagnosis
     except (InputError, NoiseUnknownError) as error:
         return replace(
             row, refused=_short(error, there.folder), cpu_s=round(own_cpu_s() - before_s, 2)
         )
-    noise_m = found.noise_m if np.isnan(there.noise_m) else there.noise_m
-    errors = [found.baseline.fit_rms_m, found.baseline.heldout_rms_m]
+    noise_m = diagnosis.noise_m if np.isnan(there.noise_m) else there.noise_m
+    errors = [diagnosis.baseline.fit_rms_m, diagnosis.baseline.heldout_rms_m]
     row = replace(
         row,
-        verdict=found.verdict,
-        named=_joined(found.missing),
-        partial=_joined(found.partial),
-        warnings=" ".join(w.code for w in found.warnings),
-        noise_ratio=round(found.noise_m / noise_m, 3),
+        verdict=diagnosis.verdict,
+        named=_join_names(diagnosis.missing),
+        partial=_join_names(diagnosis.partial),
+        warnings=" ".join(w.code for w in diagnosis.warnings),
+        noise_ratio=round(diagnosis.noise_m / noise_m, 3),
         error_ratio=round(float(np.nanmax(errors)) / noise_m, 3),
         simulated_s=round(fits.work.simulated_s),
         cpu_s=round(own_cpu_s() - before_s, 2),
-        values=json.dumps(_values(found.missing)),
-        knots=str(found.knots),
+        values=json.dumps(_values(diagnosis.missing)),
+        knots=str(diagnosis.knots),
     )
     if not checks:
         return row
@@ -105,12 +105,12 @@ def _diagnosed(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
 
 
 def _values(effects: Sequence[MissingEffect]) -> dict[str, float]:
-    """Of all parameters of effects, by `effect.parameter`."""
+    """Values of all parameters of effects, by `effect.parameter`."""
     named = {f"{m.effect}.{n}": e.value for m in effects for n, e in m.parameters.items()}
     return {name: float(f"{value:.5g}") for name, value in named.items()}
 
 
-def _joined(effects: Sequence[MissingEffect]) -> str:
+def _join_names(effects: Sequence[MissingEffect]) -> str:
     return "+".join("|".join((m.effect, *m.tied_with)) for m in effects)
 
 
@@ -120,25 +120,25 @@ def _short(error: Exception, folder: Path | str = "") -> str:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """All studies that the options request, in order."""
-    found = []
+    listed = []
     for kind, count in options.made:
         seeds = range(options.first, options.first + count)
-        found += [Case("made", kind, str(seed)) for seed in seeds]
+        listed += [Case("made", kind, str(seed)) for seed in seeds]
     changed = {n: v for n in CHANGED if (v := getattr(options, n)) is not None}
     for kind, count in options.breadth:
         numbers = range(count)
-        found += [Case("breadth", kind, str(n), options.seed, count, changed) for n in numbers]
+        listed += [Case("breadth", kind, str(n), options.seed, count, changed) for n in numbers]
     for source, counts_of in (("rigs", options.rigs), ("mujoco", options.mujoco)):
         for kind, count in counts_of:
             seeds = range(options.first, options.first + count)
-            found += [Case(source, kind, str(seed)) for seed in seeds]
+            listed += [Case(source, kind, str(seed)) for seed in seeds]
     if options.practice is not None:
         truth = json.loads((SHARED / "practice" / "truth.json").read_text(encoding="utf-8"))
-        found += [Case("practice", "all", name) for name in options.practice or truth]
+        listed += [Case("practice", "all", name) for name in options.practice or truth]
     if options.real:
         folders = sorted((SHARED / "real").glob("*/study.yaml"))
-        found += [Case("real", "all", f.parent.name) for f in folders]
-    return found
+        listed += [Case("real", "all", f.parent.name) for f in folders]
+    return listed
 
 
 def run(file: Path, wanted: Sequence[Case], workers: int, checks: bool = False) -> None:
@@ -152,7 +152,7 @@ def run(file: Path, wanted: Sequence[Case], workers: int, checks: bool = False) 
 
 
 def _rows(todo: Sequence[Case], workers: int, checks: bool) -> Iterator[StudyAnswer]:
-    """As they are known; with one worker in this process, so that CPU seconds are its own."""
+    """Rows as they are computed; with one worker in this process, to count its own CPU seconds."""
     if workers == 1:
         yield from (judged(case, checks) for case in todo)
         return
@@ -161,7 +161,7 @@ def _rows(todo: Sequence[Case], workers: int, checks: bool) -> Iterator[StudyAns
             yield future.result()
 
 
-#: Conditions of breadth studies by which their rows are counted: name, and what is asked.
+#: Conditions of breadth studies by which their rows are counted: name, and predicate.
 BINS: dict[str, Callable[[dict[str, float]], bool]] = {
     "1 marker": lambda c: c["markers"] == 1,
     "2–3 markers": lambda c: 2 <= c["markers"] <= 3,
@@ -195,14 +195,14 @@ COLUMNS = ("studies", "seen", "right", "wrong", "named right", "right in part", 
 def counts(rows: Iterable[StudyAnswer]) -> dict[str, int]:
     """Counts of verdicts and warnings of detectable studies; studies and wrong ones of all."""
     made = [r for r in rows if r.verdict != "not made"]
-    seen = [r for r in made if r.seen]
-    verdicts = [r.verdict for r in seen]
+    detectable = [r for r in made if r.detectable]
+    verdicts = [r.verdict for r in detectable]
     return dict(zip(COLUMNS, (
-        len(made), len(seen), sum(r.right for r in seen), sum(r.wrong for r in made),
-        sum(bool(r.hidden) and r.names_all(r.named) for r in seen),
-        sum(r.right_in_part for r in seen),
+        len(made), len(detectable), sum(r.right for r in detectable), sum(r.wrong for r in made),
+        sum(bool(r.hidden) and r.names_all(r.named) for r in detectable),
+        sum(r.right_in_part for r in detectable),
         *(verdicts.count(v) for v in ("complete", "unexplained", "cannot_tell")),
-        sum("noise_unknown" in r.warnings for r in seen), verdicts.count("refused"),
+        sum("noise_unknown" in r.warnings for r in detectable), verdicts.count("refused"),
     ), strict=True))  # fmt: skip
 
 
@@ -234,15 +234,15 @@ def table(rows: Sequence[StudyAnswer], before: Sequence[StudyAnswer] = ()) -> It
 
 
 def _line(name: str, rows: Sequence[StudyAnswer]) -> str:
-    found = counts(rows)
+    count = counts(rows)
     sure = "–"
-    if found["seen"]:
-        interval = stats.binomtest(found["right"], found["seen"]).proportion_ci()
+    if count["seen"]:
+        interval = stats.binomtest(count["right"], count["seen"]).proportion_ci()
         sure = f"{interval.low:.0%} … {interval.high:.0%}"
-    return f"| {name} | " + " | ".join(str(found[c]) for c in COLUMNS) + f" | {sure} |"
+    return f"| {name} | " + " | ".join(str(count[c]) for c in COLUMNS) + f" | {sure} |"
 
 
-#: Conditions that an option makes the same in all breadth studies.
+#: Conditions that an option sets in all breadth studies.
 CHANGED = ("uneven", "pixel", "colour")
 
 

@@ -3,8 +3,8 @@
     python -m tools.studies.discover_study [LAW …] [--seed 1] [--size 1.5]
 
 For each of the ten laws of `tools/worlds/outside_laws.py` a study is made and its law inferred.  A
-row says which terms were found, and the error before and after, over the noise.  Ends with 1 if
-fewer than eight have the right family, or an error of theirs stays above 1.3 times the noise.
+row lists the detected terms, and the error before and after, over the noise.  Ends with 1 if fewer
+than eight have the right family, or one of their errors stays above 1.3 times the noise.
 `unknown_a` of the practice studies is a magnet in another simulator.
 """
 
@@ -25,7 +25,7 @@ from cell.study.data import Study
 from tools.worlds.made_studies import hidden, make_study
 from tools.worlds.outside_laws import LATER, LAWS
 
-#: The first parameter of the term that a law is a case of; a shaking table has none.
+#: The first parameter of the term of which a law is a special case; a shaking table has none.
 FAMILY = {
     "magnet": "pull",
     "cubic_drag": "power_drag",
@@ -53,15 +53,15 @@ def is_right(name: str, seed: int, size: float) -> bool:
     fits = fits_of(make_study(seed, [hidden(LAWS[name], size)], noise_m=NOISE_M))
     began_s = time.process_time()
     try:
-        found = discover(fits, Path("discovered.py"))
+        law = discover(fits, Path("discovered.py"))
     except NothingFoundError as error:
         print(f"{name:22s} nothing: {error}", flush=True)
         return False
-    over = found.after_m / found.noise_m
-    of_family = FAMILY.get(name) in found.parameters
+    over = law.after_m / law.noise_m
+    of_family = FAMILY.get(name) in law.parameters
     print(
-        f"{name:22s} {'right' if of_family else 'WRONG'} {found.before_m / found.noise_m:7.2f} → "
-        f"{over:5.3f} × noise  {'; '.join(found.laws)}  {time.process_time() - began_s:.0f} s",
+        f"{name:22s} {'right' if of_family else 'WRONG'} {law.before_m / law.noise_m:7.2f} → "
+        f"{over:5.3f} × noise  {'; '.join(law.laws)}  {time.process_time() - began_s:.0f} s",
         flush=True,
     )
     return of_family and over <= MOST_OVER_NOISE

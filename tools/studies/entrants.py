@@ -1,9 +1,9 @@
-"""Entrants of the benchmark of hidden effects: what each claims of a study, with probabilities.
+"""Entrants of the benchmark of hidden effects: their claims about a study, with probabilities.
 
 An entrant is a function of a folder with one study.  It returns claims and their probabilities: a
-claim is `complete`, `outside` (of the library), or effects joined by "+", those that it cannot
-tell apart by "|".  What is left of 1 it leaves open.  Each peer has the effects of the library,
-the noise and the fits of this project, and all trials.
+claim is `complete`, `outside` (of the library), or effects joined by "+", tied ones by "|".  The
+remaining probability is undecided.  Each peer has the effects of the library, the noise and the
+fits of this project, and all trials.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from tools.studies import sysid_entrant
 Claims = dict[str, float]
 #: Minus twice the logarithm of a set of effects' weight; the empty set is the model without any.
 Costs = dict[frozenset[str], float]
-#: A search adds so many effects at most; so many of one level are calibrated where that is dear.
+#: Largest number of effects that a search adds; number of options per level in costly searches.
 MOST_EFFECTS, MOST_OPTIONS = 3, 6
 #: Sets whose costs differ by less are tied: "not worth more than a bare mention" (Kass and Raftery
 #: 1995, J. Am. Stat. Assoc. 90, 773).
 TIED = 2.0
-#: A claim below it is left out.
+#: Least probability of a claim.
 LEAST = 1e-3
 #: CPU time of a peer's fits of a study, s.
 PEER = Budget(cpu_s=300.0)
@@ -88,7 +88,7 @@ def values_of(fits: FitCache) -> int:
 
 
 def penalty(fits: FitCache, names: Iterable[str]) -> float:
-    """BIC's, of the parameters that effects add to the baseline."""
+    """Penalty of BIC for the parameters that effects add to the baseline."""
     return bic_penalty([fits.library[n] for n in names], values_of(fits), 1.0)
 
 
@@ -117,16 +117,16 @@ def offered(fits: FitCache, model: FittedModel) -> list[type[Effect]]:
 def forward(
     fits: FitCache, cost: Callable[[FitCache, FittedModel], float], most: int | None = None
 ) -> Costs:
-    """Costs of the sets of effects of a forward search: the cheapest is added while it is cheaper.
+    """Costs of the sets of effects of a forward search: the best is added while the cost falls.
 
-    most  options of a level whose cost is computed, those with the best fit; None = all
+    most  number of options of a level, those with the best fit, whose cost is computed; None = all
     """
     model, costs = fits.base, {frozenset[str](): cost(fits, fits.base)}
     for _ in range(MOST_EFFECTS):
         options = fits.fit_extended(model, offered(fits, model))
         options = sorted(options, key=lambda m: m.fit.objective)[:most]
-        costs |= (found := {m.names: cost(fits, m) for m in options})
-        best = min(options, key=lambda m: found[m.names], default=model)
+        costs |= (option_costs := {m.names: cost(fits, m) for m in options})
+        best = min(options, key=lambda m: option_costs[m.names], default=model)
         if costs[best.names] >= costs[model.names]:
             break
         model = best
@@ -134,14 +134,14 @@ def forward(
 
 
 def lab(folder: Path) -> Claims:
-    """This lab: a verdict has 1 − its significance, what `cannot_tell` names half as much."""
+    """This lab: a verdict has the probability 1 − significance, one of `cannot_tell` half of it."""
     fits = set_up(folder, EffectSelection((), library()))
-    found = diagnosed(examined(fits), folder).diagnosis
+    diagnosis = diagnosed(examined(fits), folder).diagnosis
     sure = 1.0 - SIGNIFICANCE
-    named = "+".join("|".join((m.effect, *m.tied_with)) for m in found.missing)
-    if found.verdict == "cannot_tell":
+    named = "+".join("|".join((m.effect, *m.tied_with)) for m in diagnosis.missing)
+    if diagnosis.verdict == "cannot_tell":
         return {named: 0.5 * sure} if named else {}
-    return {{"complete": "complete", "unexplained": "outside"}.get(found.verdict, named): sure}
+    return {{"complete": "complete", "unexplained": "outside"}.get(diagnosis.verdict, named): sure}
 
 
 def stepwise_bic(folder: Path) -> Claims:
@@ -150,7 +150,7 @@ def stepwise_bic(folder: Path) -> Claims:
 
 
 def heldout_error(folder: Path) -> Claims:
-    """Forward selection by the error of trials left out; weights of pseudo-BMA (Yao 2018)."""
+    """Forward selection by the error of held-out trials; weights of pseudo-BMA (Yao 2018)."""
     fits = fits_of(folder)
     if len(fit_trials(fits.prepared)) < 2:
         return {}
@@ -158,7 +158,7 @@ def heldout_error(folder: Path) -> Claims:
 
 
 def largest_score(folder: Path) -> Claims:
-    """The largest Lagrange multiplier, a first step's gain, less BIC's penalty."""
+    """The largest Lagrange multiplier, the gain of a first step, minus BIC's penalty."""
     fits = fits_of(folder)
     scores = {s.effect.name: s.score.statistic for s in fits.screened(fits.base)}
     costs = {frozenset({n}): penalty(fits, [n]) - score for n, score in scores.items()}
@@ -166,17 +166,17 @@ def largest_score(folder: Path) -> Claims:
 
 
 def columns(fits: FitCache) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """The whitened residual (values,), what effects would add to it (values, columns), and their
-    names, all without what the baseline's parameters can imitate; columns have length 1."""
+    """Whitened residual (values,), sensitivities to effects (values, columns), and their names, all
+    projected off the baseline's parameters; columns have length 1."""
     nuisance, rows, names = nuisance_of(fits.base.fit), [], []
-    for found in sensitivities(fits.prepared, fits.base.fit, list(fits.library.values())):
-        of_effect = nuisance.remove(found.rows).reshape(-1, len(nuisance.residual))
+    for sensitivity in sensitivities(fits.prepared, fits.base.fit, list(fits.library.values())):
+        of_effect = nuisance.remove(sensitivity.rows).reshape(-1, len(nuisance.residual))
         rows += list(of_effect)
-        names += [found.effect.name] * len(of_effect)
+        names += [sensitivity.effect.name] * len(of_effect)
     norms = np.linalg.norm(rows, axis=1)
     usable = norms > 1e-9 * norms.max()
-    kept = [n for n, is_usable in zip(names, usable, strict=True) if is_usable]
-    return nuisance.residual, (np.array(rows)[usable] / norms[usable, None]).T, kept
+    usable_names = [n for n, is_usable in zip(names, usable, strict=True) if is_usable]
+    return nuisance.residual, (np.array(rows)[usable] / norms[usable, None]).T, usable_names
 
 
 def lasso(folder: Path) -> Claims:
@@ -190,8 +190,8 @@ def lasso(folder: Path) -> Claims:
     for active in map(np.flatnonzero, path):
         fitted, effects = added[:, active], frozenset(names[i] for i in active)
         if len(effects) <= MOST_EFFECTS:
-            left = residual - fitted @ np.linalg.lstsq(fitted, residual, rcond=None)[0]
-            cost = float(left @ left) + penalty(fits, effects)
+            remainder = residual - fitted @ np.linalg.lstsq(fitted, residual, rcond=None)[0]
+            cost = float(remainder @ remainder) + penalty(fits, effects)
             costs[effects] = min(cost, costs.get(effects, np.inf))
     return ranked(costs)
 
@@ -199,7 +199,7 @@ def lasso(folder: Path) -> Claims:
 def accelerations(fits: FitCache, frames: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Accelerations of the residual (values,), and those by effects (values, effects), of length 1.
 
-    Of effects at their typical size; without what the baseline's parameters can imitate.
+    Effects have their typical size; all is projected off the baseline's parameters.
     """
     import pysindy as ps
 
@@ -221,13 +221,13 @@ def accelerations(fits: FitCache, frames: int) -> tuple[np.ndarray, np.ndarray] 
         return None
     joined = np.array([np.concatenate([np.ravel(m) for m in of]) for of in zip(*rows, strict=True)])
     basis = np.linalg.qr(joined[1 : len(steps) + 1].T)[0]
-    left = joined - (joined @ basis) @ basis.T
-    left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-300)
-    return left[0], left[len(steps) + 1 :].T
+    projected = joined - (joined @ basis) @ basis.T
+    projected /= np.maximum(np.linalg.norm(projected, axis=1, keepdims=True), 1e-300)
+    return projected[0], projected[len(steps) + 1 :].T
 
 
 def pysindy(folder: Path) -> Claims:
-    """STLSQ on accelerations, in an ensemble over frames: how often each set is selected."""
+    """STLSQ on accelerations, in an ensemble over frames: frequency of each selected set."""
     fits = fits_of(folder)
     threshold, ridge, frames = SINDY
     regressed = accelerations(fits, frames)
@@ -243,7 +243,7 @@ def selected(
     np.random.seed(0)  # its ensembles draw from there  # noqa: NPY002
     stlsq = ps.STLSQ(threshold=threshold, alpha=ridge)
     model = ps.EnsembleOptimizer(stlsq, bagging=True, n_models=SINDY_MODELS)
-    with warnings.catch_warnings(action="ignore"):  # it says so where nothing is selected
+    with warnings.catch_warnings(action="ignore"):  # it warns where nothing is selected
         model.fit(added, target)
     claims: Claims = {}
     for coefficients in model.coef_list:

@@ -1,20 +1,20 @@
-"""How often cables are inserted: by opening, by what may be chosen, and by what happens in flight.
+"""Rate of insertions by opening, by options of the decision, and by disturbances in flight.
 
     python -m tools.studies.insertion_study FILE.csv [--cables 20] [--half-mm 5 2 1 …]
                                             [--worlds complete soft "air_drag x2" …]
                                             [--ways offsets moment pace feedback short_hold]
 
-Cells without pictures; a cable is the same, with the same noise, in each way:
+Cells without pictures; each way has the same cables with the same noise:
 
     offsets     21 offsets, executed at once
     moment      any offset and moment within 0.25 s
     pace        and slower motions
     feedback    and the path corrected in flight
-    short_hold  21 offsets; the hold ends when more frames are of no use
+    short_hold  21 offsets; the hold ends when more frames do not change the decision
 
-A world is an effect that the model does not know, so many times as strong as is typical, or one of
-`complete` (none), `soft` cables, and what happens in flight: `knock_up`, `knock_back`,
-`late_knock`, `late_frames`, `lost_frames`, `puff` (a gust).
+A world is an effect that the model lacks, with a multiple of its typical size, or one of `complete`
+(none), `soft` cables, and disturbances in flight: `knock_up`, `knock_back`, `late_knock`,
+`late_frames`, `lost_frames`, `puff` (a gust).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ WAYS = {
     "feedback": Freedom(0.25, PACES),
     "short_hold": Freedom(),
 }
-#: A hold that ends as needed lasts at least so long, s.
+#: Least duration of a hold with an early end, s.
 LEAST_HOLD_S = 0.4
 NOTHING = Flown()
 EVENTS = {
@@ -63,7 +63,7 @@ EVENTS = {
     "puff": NOTHING,
 }
 EFFECTS = tuple(f"{name} x{size}" for name in library() for size in (1, 2))
-#: A gust of 0.7 m/s that begins so long after the path was commanded, s.
+#: A gust of 0.7 m/s, and its beginning after the path was commanded, s.
 PUFF_S, PUFF = 0.4, {"wind_x_m_per_s": 0.5, "wind_y_m_per_s": 0.5}
 
 
@@ -71,8 +71,8 @@ PUFF_S, PUFF = 0.4, {"wind_x_m_per_s": 0.5, "wind_y_m_per_s": 0.5}
 class InsertedCable:
     """Result of one simulated insertion.
 
-    error_mm  of the forecast in the opening, in truth; `miss_mm` of the tip from its middle
-    saved_s   by a hold that ended early
+    error_mm  true error of the forecast in the opening; `miss_mm` of the tip from its middle
+    saved_s   by an early end of the hold
     """
 
     world: str

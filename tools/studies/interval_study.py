@@ -1,12 +1,12 @@
-"""How often the 95 % intervals of `cell fit` hold the truth where the model lacks an effect.
+"""Coverage of the 95 % intervals of `cell fit` where the model lacks an effect.
 
     python -m tools.studies.interval_study [--studies 40] [--first 0] [--size 0.5] [--unknown]
                                            [--all-trials]
 
-Each study has two effects: one is in the model, the other, `--size` times as strong as is typical
-(0 = there is none), is left out.  `--unknown` takes that out of the library too, and with it what
-no motion tells from it.  EI(s) is asked for at the model's knots.  `--all-trials`: the intervals
-of effects as in a diagnosis, from all trials, instead of those of `cell fit`.
+Each study has two effects: one is in the model, the other, with `--size` times its typical size
+(0 = none), is omitted.  `--unknown` removes it from the library too, with effects that no motion
+can distinguish from it.  EI(s) is evaluated at the model's knots.  `--all-trials`: the intervals of
+effects as in a diagnosis, from all trials, instead of those of `cell fit`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from cell.lab.strength.estimate import estimate
 from tools.worlds.known_truth import ONE_CLASS
 from tools.worlds.made_studies import CABLE, hidden, make_study, random_model
 
-#: Parameters of effects that are no amplitudes count apart.
+#: Parameters of effects other than amplitudes are counted separately.
 GROUPS = ("EI", "exponent", "viscosity", "amplitude", "shape")
 
 
@@ -74,10 +74,10 @@ def held(model: Identified, truth: CableModel) -> Iterator[tuple[str, str, bool]
 def held_by_all(fits: FitCache, truth: CableModel) -> Iterator[tuple[str, str, bool]]:
     """As `held`, for the effect's parameters estimated from all trials, as in a diagnosis."""
     present: ActiveEffect = truth.effects[0]
-    found = estimate(fits.prepared, fits.base.fit, fits.library.values())
+    estimates = estimate(fits.prepared, fits.base.fit, fits.library.values())
     true = dict(zip((p.name for p in present.effect.parameters), present.values, strict=True))
     amplitudes = {p.name for p in present.effect.parameters if p.amplitude}
-    for name, interval in found.intervals(present.effect).items():
+    for name, interval in estimates.intervals(present.effect).items():
         kind = "amplitude" if name in amplitudes else "shape"
         yield name, kind, interval.low <= true[name] <= interval.high
 
@@ -95,13 +95,13 @@ def main() -> None:
     for seed in range(options.first, options.first + options.studies):
         words, fits, truth = drawn(seed, options.size, options.unknown)
         if options.all_trials:
-            asked = held_by_all(fits, truth)
+            covered = held_by_all(fits, truth)
         else:
             model, *_ = fit_study(fits)
             words += f", seen beside it: {', '.join(model.lacks) or 'nothing'}"
-            asked = held(model, truth)
+            covered = held(model, truth)
         missed = []
-        for name, kind, inside in asked:
+        for name, kind, inside in covered:
             good[kind] += inside
             count[kind] += 1
             missed += [] if inside else [name]

@@ -1,8 +1,8 @@
-"""From a line that rejects good cables to one that inserts them: the whole loop in one command.
+"""From a line that rejects good cables to one that inserts them: the complete loop in one command.
 
 A simulated cell has physics in its world that its model lacks.  Its opening is narrow, so that
 cables are rejected or missed for it; `cell learn` names the effect from the recorded cycles,
-`cell promote` gives it to the model, and the same cables come again.
+`cell promote` adds it to the model, and the same cables are inserted again.
 `python -m tools.studies.learn [--effect air_drag] [--size 2] [--cables 4] [--out FOLDER]
 [--picture F.png]`
 """
@@ -33,13 +33,13 @@ from cell.wiring.build import cell_task
 from tools.worlds.fast_cell import typical
 
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
-#: An opening this high lets pass what is forecast well, and little else.
+#: Height of an opening that requires good forecasts.
 OPENING = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
 OFFSETS = ("step_m: 0.002", "step_m: 0.001")
-#: First guesses of what a cable's cycle, its part in learning, and promoting take, s; what the
-#: commands really took corrects them.
+#: Initial estimates of the times of a cable's cycle, its part in learning, and promoting, s;
+#: measured times correct them.
 CYCLE_S, LEARNING_S, PROMOTING_S = 6.0, 15.0, 2.0
-#: What a hidden effect is drawn from: those that show in a cable of this size.
+#: Candidates for the hidden effect: those that are detectable with a cable of this size.
 DRAWN_FROM = ("air_drag", "linear_air_drag", "stress_relaxation", "bending_hysteresis", "tip_mass")
 
 
@@ -76,8 +76,8 @@ class CyclesOfModel:
 class Commands:
     """Runs the loop's commands; prints before each its purpose and expected time.
 
-    usual_s  first guess of what each takes; measured times correct what is left
-    log      where their output goes; None = to the terminal
+    usual_s  initial estimate of the time of each; measured times correct the remaining ones
+    log      file for their output; None = the terminal
     """
 
     usual_s: tuple[float, ...]
@@ -86,19 +86,19 @@ class Commands:
     log: IO[str] | None = None
 
     def left_s(self) -> float:
-        """About how long the commands that are left still take."""
+        """Estimated time of the remaining commands, s."""
         done = len(self.taken_s)
         slower = sum(self.taken_s) / sum(self.usual_s[:done]) if done else 1.0
         return slower * sum(self.usual_s[done:])
 
     def line(self) -> str:
-        """What is done, for how long it has been, about how long the rest takes."""
+        """Text of the current step, elapsed and remaining time."""
         step = f"step {len(self.taken_s) + 1} of {len(self.usual_s)}"
-        so_far, left = _minutes(sum(self.taken_s)), _minutes(self.left_s())
-        return f"{step}, {so_far} so far, about {left} left"
+        so_far, remaining = _minutes(sum(self.taken_s)), _minutes(self.left_s())
+        return f"{step}, {so_far} so far, about {remaining} left"
 
     def also_run(self, usual_s: float, *arguments: object) -> int:
-        """As `run`, a command that was not foreseen."""
+        """Like `run`, for a command that was not planned."""
         done = len(self.taken_s)
         self.usual_s = (*self.usual_s[:done], usual_s, *self.usual_s[done:])
         return self.run(*arguments)
@@ -140,7 +140,7 @@ def draw(before: CyclesOfModel, after: CyclesOfModel, effect: str, path: Path) -
 
 
 def _draw_tip(axes: plt.Axes, before: CyclesOfModel, after: CyclesOfModel) -> None:
-    """Where the first inserted cable's tip went, and what both models forecast of it."""
+    """Path of the first inserted cable's tip, and its forecasts by both models."""
     record = next(
         r
         for f in sorted(after.runs.iterdir())
@@ -155,10 +155,10 @@ def _draw_tip(axes: plt.Axes, before: CyclesOfModel, after: CyclesOfModel) -> No
         (after, after.config, "#2e7d32"),
     ):
         task = cell_task(load_settings(config))
-        found = identify(held, study.arc_length_m, study.cable, options=task.identification)
+        estimate = identify(held, study.arc_length_m, study.cable, options=task.identification)
         times = executed.markers.t_s
         at = np.array([study.cable.free_length_m])
-        path = simulate(found.model, executed.grip, times, at)[0, :, 0] * 1e3
+        path = simulate(estimate.model, executed.grip, times, at)[0, :, 0] * 1e3
         axes.plot(*path.T, color=colour, label=f"forecast {step.title}")
     axes.plot(*tip.T, ".", color="black", markersize=3, label="seen")
     opening = task.destination
@@ -172,12 +172,12 @@ def _draw_tip(axes: plt.Axes, before: CyclesOfModel, after: CyclesOfModel) -> No
 
 
 def learned_from(commands: Commands, folder: Path, config: Path) -> int:
-    """Exit code of `cell learn`, with the motions that it asks for."""
+    """Exit code of `cell learn`, including the motions that it requests."""
     out = folder / "candidate.yaml"
     motion, measured = folder / "candidate_motion.yaml", out.with_suffix(".measured")
     runs = [folder / "before"]
     learned = commands.run("learn", *runs, "--config", config, "-o", out)
-    for seed in (101, 102):  # other cables than those that come again
+    for seed in (101, 102):  # other cables than those of the later comparison
         if not motion.exists():
             break
         of_it = ("--config", config, "--motion", motion, "--runs", measured, "--seed", seed)
@@ -220,10 +220,10 @@ def main() -> int:
     after = CyclesOfModel("after", config, folder / "after")
     print(f"\n{before.summary()}\n{after.summary()}")
     model = load_settings(config).model.effects
-    found = ", ".join(e.effect for e in model) or "nothing"
-    print(f"hidden in the world: {effect}; learned and promoted: {found}")
+    promoted = ", ".join(e.effect for e in model) or "nothing"
+    print(f"hidden in the world: {effect}; learned and promoted: {promoted}")
     if model:
-        draw(before, after, found, options.picture or folder / "learned.png")
+        draw(before, after, promoted, options.picture or folder / "learned.png")
     return learned
 
 

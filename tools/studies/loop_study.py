@@ -1,12 +1,12 @@
-"""From the lab to the line in worlds whose physics the model lacks: learned, promoted, better?
+"""Learning loop from the lab to the line in worlds whose physics the model lacks.
 
-For each effect and size: cables of a world with that effect are run, `learn` and the gates work on
-what was recorded, what passes is promoted, and other cables of the same world come, once with the
-model before and once with the one promoted.  The same cables in a world without the effect show
-how well a complete model forecasts.  `none` is such a world: nothing may be promoted there.  A law
-that the library does not have (`outside_laws`; `outside` = the first ten, `later` = the others) is
-looked for as `cell learn --laws` does, and so in every world with `--laws`.
-With `--pictures` cables are filmed, and `cell run`, `cell learn` and `cell promote` do all of it.
+For each effect and size: cables of a world with that effect are run, `learn` and the gates process
+the recordings, a candidate that passes is promoted, and further cables of the same world are run,
+with the former and with the promoted model.  The same cables in a world without the effect show
+the forecast error of a complete model.  `none` is such a world: nothing may be promoted there.  A
+law outside the library (`outside_laws`; `outside` = the first ten, `later` = the others) is
+searched for as by `cell learn --laws`, and so in every world with `--laws`.
+With `--pictures` cables are filmed, and the commands `cell run`, `cell learn`, `cell promote` used.
 
     python -m tools.studies.loop_study [--effects air_drag air_drag+tip_mass none …]
         [--sizes 0.5 1 2] [--cables 6] [--seed 300] [--worlds 1] [--laws] [--json F] [--pictures]
@@ -63,7 +63,7 @@ from tools.worlds.outside_laws import LATER, LAWS
 #: Of a sharp camera, assumed: nodes at the bound that vision holds across the cable, the
 #: end a seventh of a pixel off.  The default of `Errors` is a poor camera's.
 SEEN = Errors(node_m=1.2e-5, across_m=4e-6, end_m=3e-5)
-#: An effect that moves the tip by less than this at the opening is not counted, m.
+#: Least displacement of the tip at the opening for an effect to count, m.
 SHIFT_M = 3e-4
 
 
@@ -73,10 +73,10 @@ class LearnedWorld:
 
     effect                  hidden in the world; two are joined by `+`
     named, tied, promoted   the effects that `learn` named, ties of the last, and whether the gates
-                            let it pass; `failed` are the gates that did not
-    asked                   motions of its own that `learn` asked for
-    before, after, complete  of the cables that came later: with the model before, with the one
-                            promoted, and in a world without the effect
+                            passed; `failed` are the gates that did not
+    asked                   number of motions that `learn` requested
+    before, after, complete  of the later cables: with the former model, with the promoted one, and
+                            in a world without the effect
     left_out                by the limit of work
     """
 
@@ -96,7 +96,7 @@ class LearnedWorld:
 
     @property
     def shift_m(self) -> float:
-        """By how much the model before errs at the opening beyond a complete one."""
+        """Error of the former model at the opening beyond that of a complete one, m."""
         return float(np.sqrt(max(self.before.error_m**2 - self.complete.error_m**2, 0.0)))
 
     def line(self) -> str:
@@ -139,7 +139,7 @@ class Cables:
         )
 
     def line(self) -> str:
-        """Inserted of those that a perfect model could insert, and the error."""
+        """Inserted cables of those that a perfect model could insert, and the error."""
         return f"{self.inserted}/{self.insertable} {self.error_m * 1e3:.3f} mm"
 
 
@@ -159,13 +159,13 @@ def world(
     first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
     begun_s = time.process_time()
     cycles = cycles_of(settings, task, seed, first, there)
-    as_found = Cables.of(cycles, time.process_time() - begun_s)
+    initial = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = own_cpu_s()
-    result, asked = _learned(settings, task, recorded, seed, there, laws)
+    result, requested = _learn(settings, task, recorded, seed, there, laws)
     result, judgement = best_judged(result, settings)
     spent_s = own_cpu_s() - begun_s
-    after, before, complete = None, as_found, as_found
+    after, before, complete = None, initial, initial
     promoted = result.best is not None and judgement.fit_for_line
     if parts or promoted:
         complete = _complete(seed, cables, lambda: run(settings, task, seed, later, ()))
@@ -179,7 +179,7 @@ def world(
         seed,
         tuple(e.name for e in result.best.effects) if result.best else (),
         result.tied,
-        asked,
+        requested,
         promoted,
         tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
         before,
@@ -190,7 +190,7 @@ def world(
     )
 
 
-def _learned(
+def _learn(
     settings: Settings,
     task: Task,
     recorded: list[RecordedCycle],
@@ -198,13 +198,13 @@ def _learned(
     there: Sequence[ActiveEffect],
     laws: bool,
 ) -> tuple[LearningResult, int]:
-    """What is learned of these cables and those measured because of ties; how many these are."""
+    """Result of learning from these cables and those measured because of ties, and their number."""
     surroundings, tried = Surroundings.read(CONFIG), library()
     if laws or any(a.effect.name in LAWS for a in there):
         tried |= laws_in(
             Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
         ).effects
-    result = learn(recorded, task.cable, task.identification, tried, _said())
+    result = learn(recorded, task.cable, task.identification, tried, _progress_printer())
     for done in range(MOST_ASKED):
         if not result.tied:
             return result, done
@@ -222,32 +222,32 @@ def _learned(
         study = Study(f"m{number}", task.cable, task.arc_length_m, (trial,))
         measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
         recorded = [*recorded, measured]
-        result = learn(recorded, task.cable, task.identification, tried, _said())
+        result = learn(recorded, task.cable, task.identification, tried, _progress_printer())
     return result, MOST_ASKED
 
 
-def _said() -> Callable[[str], None]:
-    """Says what is being done, and how much CPU time has gone by, beside the table."""
+def _progress_printer() -> Callable[[str], None]:
+    """Callback that prints the current step and its CPU time, separately from the table."""
     begun_s = own_cpu_s()
 
-    def said(text: str, done: int = 0, total: int = 0) -> None:
+    def report(text: str, done: int = 0, total: int = 0) -> None:
         print(f"  {own_cpu_s() - begun_s:6.1f} s  {text}", file=sys.stderr, flush=True)
 
-    return said
+    return report
 
 
 _COMPLETE: dict[tuple[int, int], Cables] = {}
 
 
 def _complete(seed: int, cables: int, made: Callable[[], Cables]) -> Cables:
-    """The cables that come later, in a world without an effect: the same for every effect."""
+    """The later cables in a world without an effect: the same for every effect."""
     if (seed, cables) not in _COMPLETE:
         _COMPLETE[seed, cables] = made()
     return _COMPLETE[seed, cables]
 
 
 def recorded_cycle(task: Task, number: int, c: FastCycle) -> RecordedCycle:
-    """A cycle as `read_cycles` finds it in its folder."""
+    """A cycle as from `read_cycles`."""
     trials = [c.held, *([c.executed] if c.executed else [])]
     study = Study(f"c{number}", task.cable, task.arc_length_m, tuple(trials))
     return RecordedCycle(f"c{number}", Path(f"c{number}"), study, c.held, c.executed, None)
@@ -260,7 +260,7 @@ def cycles_of(
     numbers: Iterable[int],
     there: Sequence[ActiveEffect],
 ) -> list[FastCycle]:
-    """Cycles of the numbered cables of a world with the given effects."""
+    """Cycles of numbered cables of a world with hidden effects."""
     complete = with_world(settings, {})
     return [
         fast_cycle(
@@ -288,7 +288,7 @@ def run(
     return Cables.of(cycles, time.process_time() - begun_s)
 
 
-# --- through rendered pictures, by the commands of a person ---------------------------------------
+# --- with rendered pictures, by commands ----------------------------------------------------------
 
 
 def world_of_pictures(
@@ -368,8 +368,8 @@ def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: in
 def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
     """Sentences on each criterion: class, error, insertions, no worsening, no useless promotion."""
     hidden = [w for w in worlds if w.effect != "none" and w.effect not in LAWS]
-    seen = [w for w in hidden if w.shift_m > SHIFT_M]
-    named = [w for w in seen if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
+    shown = [w for w in hidden if w.shift_m > SHIFT_M]
+    named = [w for w in shown if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
     right = [w for w in named if set(w.named) == set(w.effect.split("+"))]
     after = [w for w in hidden if w.after is not None]
     good = [
@@ -387,7 +387,7 @@ def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
     outside = [w for w in worlds if w.effect in LAWS]
     pairs = [w for w in hidden if "+" in w.effect]
     return [
-        f"shift above 0.3 mm: {len(seen)} of {len(hidden)} worlds; right class promoted in "
+        f"shift above 0.3 mm: {len(shown)} of {len(hidden)} worlds; right class promoted in "
         f"{len(right)} of them, named or tied in {len(named)}",
         f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
         f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
@@ -398,7 +398,7 @@ def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
 
 
 def _three_times_lower(title: str, worlds: Sequence[LearnedWorld]) -> str:
-    """In how many the error fell to a third; a complete world's bounds what it can fall to."""
+    """Number of worlds whose error fell to a third, or to that of a complete world."""
     can = [w for w in worlds if w.complete.error_m <= w.before.error_m / 3.0]
     lower = [w for w in worlds if w.after and w.after.error_m <= w.before.error_m / 3.0]
     return (

@@ -2,11 +2,11 @@
 
     python -m tools.studies.power_study power.csv [--rounds 4] [--copies 10] [--case 6]
 
-A case is an effect, its size and a set of motions.  Its study is made by a finer mesh, of a random
-cable and noise, without the effect.  `cell power` forecasts how often a diagnosis of a study with
-the effect finds it.  Then copies with the effect are diagnosed.  Every round adds copies to every
-case, and goes on with a file that is there.  The size is a share of the smallest that is found
-with 95 %, so that the forecasts spread.
+A case is an effect, its size and a set of motions.  Its study is made with a finer mesh, a random
+cable and noise, without the effect.  `cell power` forecasts the probability that a diagnosis of a
+study with the effect detects it.  Then copies with the effect are diagnosed.  Every round adds
+copies to every case, and continues an existing file.  The size is a share of the smallest that is
+detected with 95 % probability, so that the forecasts vary.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class PowerCase:
 
     @property
     def words(self) -> str:
-        """Forecast beside what was observed."""
+        """Text of forecast and observation."""
         low, high = binomtest(self.found, self.copies).proportion_ci(method="wilson")
         share = self.found / max(self.copies, 1)
         return (
@@ -83,45 +83,45 @@ class PowerCase:
 
 
 def study_of(case: int) -> Study:
-    """The study of a case, with nothing hidden in it."""
+    """The study of a case, without a hidden effect."""
     study = make_study(3100 + case)
-    kept = tuple(study.trials[i] for i in MOTIONS[CASES[case][2]])
-    return replace(study, trials=kept)
+    selected = tuple(study.trials[i] for i in MOTIONS[CASES[case][2]])
+    return replace(study, trials=selected)
 
 
-def one(case: int, before: PowerCase | None, copies: int) -> PowerCase:
+def updated_case(case: int, before: PowerCase | None, copies: int) -> PowerCase:
     """Results of a case with `copies` more copies of its study."""
     began = time.process_time()
     name, share, motions = CASES[case]
-    (asked,), selection = select_asked([name], [])
+    (question,), selection = select_asked([name], [])
     study = study_of(case)
     fits = FitCache.of(
         SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), selection.candidates)
     )
     linear = LinearStudy.of(fits.prepared, fits.base.fit)
     if before is None:
-        smallest = forecast(fits, asked, linear).smallest
+        smallest = forecast(fits, question, linear).smallest
         if smallest is None:
             raise ValueError(f"{name}: no size is found; choose another study")
-        size = asked.parameter.default + share * (smallest - asked.parameter.default)
+        size = question.parameter.default + share * (smallest - question.parameter.default)
     else:
         size = before.size
-    chances = forecast(fits, replace(asked, size=size), linear).chances
+    chances = forecast(fits, replace(question, size=size), linear).chances
     assert chances is not None
     noise = fits.prepared.noise_model.noise
     row = before or PowerCase(
-        case, name, asked.parameter.name, size, motions, noise.std_m, noise.ar1, 0.0
+        case, name, question.parameter.name, size, motions, noise.std_m, noise.ar1, 0.0
     )
-    found = recover(fits, asked.at(size), copies, first=row.copies)
+    recovered = recover(fits, question.at(size), copies, first=row.copies)
     return replace(
         row,
         forecast=chances.found,
-        copies=row.copies + len(found.outcomes),
-        found=row.found + found.count("found"),
-        confused=row.confused + found.count("confused"),
-        undecided=row.undecided + found.count("undecided", "failed"),
-        missed=row.missed + found.count("missed"),
-        unexplained=row.unexplained + found.count("unexplained"),
+        copies=row.copies + len(recovered.outcomes),
+        found=row.found + recovered.count("found"),
+        confused=row.confused + recovered.count("confused"),
+        undecided=row.undecided + recovered.count("undecided", "failed"),
+        missed=row.missed + recovered.count("missed"),
+        unexplained=row.unexplained + recovered.count("unexplained"),
         seconds=row.seconds + time.process_time() - began,
     )
 
@@ -137,14 +137,14 @@ def main() -> int:
     rows = {row.case: row for row in read_rows(options.file, PowerCase)}
     with one_core() if options.alone else nullcontext():
         for case in [*options.case] * options.rounds:
-            rows[case] = one(case, rows.get(case), options.copies)
+            rows[case] = updated_case(case, rows.get(case), options.copies)
             options.file.unlink(missing_ok=True)
             list(added_rows(options.file, PowerCase, (rows[k] for k in sorted(rows))))
             print(rows[case].words, flush=True)
     count = sum(r.copies for r in rows.values())
     expected = sum(r.forecast * r.copies for r in rows.values()) / max(count, 1)
-    found = sum(r.found for r in rows.values()) / max(count, 1)
-    print(f"\nall {count}: forecast {expected:.3f}, found {found:.3f}")
+    detections = sum(r.found for r in rows.values()) / max(count, 1)
+    print(f"\nall {count}: forecast {expected:.3f}, found {detections:.3f}")
     return 0
 
 

@@ -15,7 +15,7 @@ _KINDS = {"int": int, "float": float, "str": str}
 
 
 def read_rows(file: Path, kind: type[RowT]) -> list[RowT]:
-    """Rows of a file, whose fields are numbers and text; none if there is no file."""
+    """Rows of a file, whose fields are numbers and text; empty without a file."""
     if not file.exists():
         return []
     with file.open(newline="", encoding="utf-8") as lines:
@@ -32,7 +32,7 @@ def read_rows(file: Path, kind: type[RowT]) -> list[RowT]:
 
 
 def added_rows(file: Path, kind: type[RowT], rows: Iterable[RowT]) -> Iterator[RowT]:
-    """The rows as they come, each added to the end of a file at once."""
+    """Yield the rows, each appended to a file at once."""
     with file.open("a", newline="", encoding="utf-8") as out:
         writer = csv.DictWriter(out, [f.name for f in _fields(kind)], lineterminator="\n")
         if out.tell() == 0:

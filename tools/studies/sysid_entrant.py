@@ -1,8 +1,8 @@
 """`mujoco.sysid` as an entrant: effects are parameters of a chain that MuJoCo simulates and fits.
 
-The chain is that of `cell export`, so an effect that MuJoCo cannot express is not offered; the
-camera's latency shifts the times of the markers.  Fits start from this project's baseline, and
-from the size that its score test expects of an effect.
+The chain is that of `cell export`, so effects that MuJoCo cannot express are not offered; the
+camera's latency shifts the times of the markers.  Fits start from this project's baseline, and from
+the size of an effect that its score test estimates.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cell.cable.effects.base import Effect
 from cell.cable.effects.camera import CameraLatency
 from cell.cable.model import CableModel
 from cell.cable.statics import UnsettledError
-from cell.exchange.chain import chain_of, expressible, resting_bends, unseen, value, why_not
+from cell.exchange.chain import chain_of, expressible, physical, resting_bends, value, why_not
 from cell.exchange.mjcf import mjcf, resting_qpos, without_log
 from cell.identify.parameters import ParameterSpace
 from cell.lab.fit.fitting import fit_trials, space_with, with_values
@@ -39,8 +39,8 @@ def markers(model: CableModel, trial: Trial, arc_length_m: np.ndarray) -> np.nda
     import mujoco
     from mujoco import rollout
 
-    chain = chain_of(expressible(unseen(model))[0], LINKS)
-    t_s, seen = trial.markers.t_s, (*trial.markers.xy_m.shape,)
+    chain = chain_of(expressible(physical(model))[0], LINKS)
+    t_s, shape = trial.markers.t_s, (*trial.markers.xy_m.shape,)
     xml = mjcf(chain, STEP_S * np.sqrt(model.cable.free_length_m / LENGTH_M), np.zeros(LINKS + 1),
                ())  # fmt: skip
     peer = mujoco.MjModel.from_xml_string(xml)
@@ -49,7 +49,7 @@ def markers(model: CableModel, trial: Trial, arc_length_m: np.ndarray) -> np.nda
     times = begin + h * np.arange(-1, steps + 2)
     path = np.stack([spline(times) for spline in trial.grip.splines], axis=1)
     path[0] = path[1]  # from rest
-    bends = resting_bends(expressible(unseen(model))[0], LINKS, float(path[1, 2]))
+    bends = resting_bends(expressible(physical(model))[0], LINKS, float(path[1, 2]))
     data = mujoco.MjData(peer)
     data.qpos[:] = resting_qpos(chain, path[1], bends)
     first = np.zeros(mujoco.mj_stateSize(peer, mujoco.mjtState.mjSTATE_FULLPHYSICS))
@@ -59,7 +59,7 @@ def markers(model: CableModel, trial: Trial, arc_length_m: np.ndarray) -> np.nda
         state, _ = rollout.rollout(peer, data, first[None], control[None])
     q = np.vstack([first[None, 1 : peer.nq + 1], state[0, :, 1 : peer.nq + 1]])[::4]
     if not np.all(np.isfinite(q)) or np.abs(q[:, 3:]).max() > 4.0:
-        return np.full(seen, np.nan)
+        return np.full(shape, np.nan)
     own = 3 + bool(chain.grip)
     clamp = q[:, 2] + chain.grip_angle_rad + (q[:, 3] if chain.grip else 0.0)
     angles = np.column_stack([clamp, clamp[:, None] + np.cumsum(q[:, own : own + LINKS], axis=1)])
@@ -70,9 +70,9 @@ def markers(model: CableModel, trial: Trial, arc_length_m: np.ndarray) -> np.nda
     along = -np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     points = CubicSpline(fine, along, axis=1).antiderivative()(np.minimum(arc_length_m, ends[-1]))
     points = points + q[:, None, :2]
-    kept_s = begin + 4 * h * np.arange(len(q))
+    stored_s = begin + 4 * h * np.arange(len(q))
     delay_s = value(model, CameraLatency, "delay_s")
-    return np.asarray(CubicSpline(kept_s, points)(np.clip(t_s - delay_s, begin, kept_s[-1])))
+    return np.asarray(CubicSpline(stored_s, points)(np.clip(t_s - delay_s, begin, stored_s[-1])))
 
 
 def residual_of(fits: FitCache, space: ParameterSpace) -> Callable[[np.ndarray], np.ndarray]:
@@ -96,7 +96,7 @@ def residual_of(fits: FitCache, space: ParameterSpace) -> Callable[[np.ndarray],
 def fitted(
     fits: FitCache, space: ParameterSpace, start: np.ndarray, iterations: int
 ) -> tuple[float, np.ndarray]:
-    """χ² and coordinates where `mujoco.sysid` ends from a start."""
+    """χ² and coordinates of the result of `mujoco.sysid` from a start."""
     from mujoco import sysid
 
     free = np.flatnonzero(space.high > space.low)
@@ -108,8 +108,8 @@ def fitted(
         return q
 
     def of_parameters(x: np.ndarray, _: Any) -> tuple[list[np.ndarray], None, None]:
-        found = residual(coordinates(x.reshape(len(free), -1)))
-        return [found[:, 0] if x.ndim == 1 else found], None, None
+        residuals = residual(coordinates(x.reshape(len(free), -1)))
+        return [residuals[:, 0] if x.ndim == 1 else residuals], None, None
 
     low, high = ((edge[free] - start[free]) / step for edge in (space.low, space.high))
     parameters = sysid.ParameterDict()
@@ -121,7 +121,7 @@ def fitted(
 
 
 def costs(fits: FitCache, most: int) -> dict[frozenset[str], float]:
-    """BIC of the sets of a forward search over effects that the chain can have."""
+    """BIC of the sets of a forward search over effects that the chain can express."""
     base, count = fits.base.fit, fits.prepared.count(fit_trials(fits.prepared))
     starts = {s.effect: s.starts[0] for s in fits.screened(fits.base)}  # the likeliest first
     usual = replace(base.model, effects=())
@@ -135,7 +135,7 @@ def costs(fits: FitCache, most: int) -> dict[frozenset[str], float]:
 
     here: list[type[Effect]] = []
     cost, q = bic(here, base.q, POLISH)
-    found = {frozenset[str](): cost}
+    by_set = {frozenset[str](): cost}
     for _ in range(most):
         space, options = space_with(base.space, here), {}
         for effect in [e for e in expressed if e not in here][:OPTIONS]:
@@ -143,14 +143,14 @@ def costs(fits: FitCache, most: int) -> dict[frozenset[str], float]:
             more = wider.mean.copy()
             more[[wider.names.index(n) for n in space.names]] = q
             options[effect] = bic([*here, effect], with_values(wider, more, effect, starts[effect]))
-            found[frozenset(e.name for e in [*here, effect])] = options[effect][0]
+            by_set[frozenset(e.name for e in [*here, effect])] = options[effect][0]
         effect = min(options, key=lambda e: options[e][0])
         polished = bic([*here, effect], options[effect][1], POLISH)
-        found[frozenset(e.name for e in [*here, effect])] = polished[0]
+        by_set[frozenset(e.name for e in [*here, effect])] = polished[0]
         if polished[0] >= cost:
             break
         here, (cost, q) = [*here, effect], polished
-    return found
+    return by_set
 
 
 def _is_expressed(effect: type[Effect], model: CableModel) -> bool:

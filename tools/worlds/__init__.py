@@ -1,1 +1,1 @@
-"""Worlds and studies with a known answer, for all that tries the cell on them."""
+"""Worlds and studies with a known answer, for trials of the cell."""

@@ -1,7 +1,7 @@
-"""Wrong priors: models of earlier cables that do not hold for a study; four kinds.
+"""Wrong priors: models of earlier cables that are wrong for a study; four kinds.
 
-plain         a plain fit to the same cable with an effect of 1 … 5 times its typical size,
-              which the study has as well, and a load besides
+plain         a plain fit to the same cable with an effect of 1 … 5 times its typical size, which
+              the study has as well, and an additional load
 another       a plain fit to another cable; the study has an effect
 stiffer       a plain fit to the same cable, all of EI three times as large; nothing is hidden
 wrong shapes  a plain fit to another cable, its markers wrong by 2 … 5 mm, the same for four
@@ -23,9 +23,9 @@ from cell.study.data import Markers, Study
 from tools.worlds.made_studies import coloured, hidden, make_study
 
 BAD_PRIORS = ("plain", "another", "stiffer", "wrong shapes")
-#: Trials of a study beside a bad prior.
+#: Trials of a study with a bad prior.
 TRIALS = ("identify", "deep")
-#: Frames for which a wrong shape stays the same.
+#: Number of frames with the same wrong shape.
 UPDATES = 4
 
 
@@ -41,8 +41,8 @@ def with_bad_prior(seed: int, kind: str) -> tuple[Study, tuple[str, ...], Identi
     elif kind == "stiffer":
         there = []
     same = kind in ("plain", "stiffer")
-    other = 50_000 + seed
-    earlier = _short(make_study(seed if same else other, before, noise_seed=other))
+    other_seed = 50_000 + seed
+    earlier = _short(make_study(seed if same else other_seed, before, noise_seed=other_seed))
     if kind == "wrong shapes":
         earlier = _with_wrong_shapes(rng, earlier)
     model, *_ = fit_study(fit_cache_of(earlier, EffectSelection((), library())))
@@ -55,12 +55,12 @@ def with_bad_prior(seed: int, kind: str) -> tuple[Study, tuple[str, ...], Identi
 
 
 def _short(study: Study) -> Study:
-    """The study with few of its trials."""
+    """The study with a few of its trials."""
     return replace(study, trials=tuple(t for t in study.trials if t.name in TRIALS))
 
 
 def _with_wrong_shapes(rng: np.random.Generator, study: Study) -> Study:
-    """Markers wrong by millimetres, smoothly along the cable, as a fitted shape is; it says so."""
+    """The study with smooth stated errors of millimetres along the cable, like a fitted shape."""
     error_m = rng.uniform(2e-3, 5e-3)
     trials = []
     for trial in study.trials:
@@ -69,6 +69,6 @@ def _with_wrong_shapes(rng: np.random.Generator, study: Study) -> Study:
         along = np.vander(np.linspace(0.0, 1.0, markers), 4)[:, :3]
         along /= np.sqrt(np.mean(np.sum(along**2, axis=1)))
         wrong = error_m * np.einsum("mk,tkc->tmc", along, np.repeat(drawn, UPDATES, axis=0))
-        seen = Markers(trial.markers.t_s, trial.markers.xy_m + wrong[:frames])
-        trials.append(replace(trial, markers=seen))
+        shifted = Markers(trial.markers.t_s, trial.markers.xy_m + wrong[:frames])
+        trials.append(replace(trial, markers=shifted))
     return replace(study, trials=tuple(trials), noise_std_m=error_m)

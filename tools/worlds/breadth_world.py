@@ -1,8 +1,8 @@
-"""Studies that vary over what users bring: cables, motions, noise, sampling.
+"""Studies over the range of users' conditions: cables, motions, noise, sampling.
 
-The conditions are a Latin hypercube: every one is spread evenly over its range, whatever the
-others are.  The world is simulated on two meshes and extrapolated to none, so that its own error
-stays far below what a fit could see.
+The conditions are a Latin hypercube: each is spread evenly over its range, independent of the
+others.  The world is simulated on two meshes and extrapolated, so that its own error stays far
+below what a fit could detect.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ MORE_STROKES = (
     Stroke("slow_down", "fit", 0.2, (0.0, -0.06), 0.45),
     Stroke("left_up", "validate", -0.3, (-0.04, 0.03), 0.3),
 )
-#: In the order in which a study takes them: fitted and held out in turn.
+#: Strokes in the order of a study: fitted and held out alternately.
 ORDER = (0, 3, 1, 4, 2, 5, 6, 7)
-#: Frames of a trial, at most: time is spent on more studies instead.
+#: Largest number of frames of a trial, to save time for more studies.
 MOST_FRAMES = 400
 #: Periods of the first mode that are filmed after the gripper has stopped.
 LEAST_PERIODS, MOST_PERIODS = 1.2, 4.0
 GRAVITY = 9.81
-#: An effect is made at most so many times as strong as is typical, by so many attempts.
+#: Largest size of an effect over its typical one, and number of attempts.
 STRONGEST, ATTEMPTS = 20.0, 4
 
 
@@ -112,7 +112,7 @@ def _conditions(number: int, u: np.ndarray) -> Conditions:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A cable and its gripper, without noise: the same for a study with an effect and without."""
+    """A cable and its gripper, without noise: the same for studies with and without an effect."""
 
     conditions: Conditions
     model: CableModel
@@ -123,12 +123,12 @@ class World:
 
     @staticmethod
     def of(conditions: Conditions, seed: int) -> World:
-        """Drawn for the conditions."""
+        """A random world with the conditions."""
         rng = np.random.default_rng([seed, conditions.number, 1])
         model = _random_cable(rng, conditions)
         cable, count = model.cable, conditions.markers
-        clamp_seen = count > 2 and rng.uniform() < 0.5
-        arcs = cable.free_length_m * (1.0 - np.arange(count) / (count - clamp_seen))
+        clamp_visible = count > 2 and rng.uniform() < 0.5
+        arcs = cable.free_length_m * (1.0 - np.arange(count) / (count - clamp_visible))
         strokes = [(*STROKES, *MORE_STROKES)[i] for i in ORDER[: conditions.trials]]
         roles, hands, times = [], [], []
         frame_s, slower, longer = 1.0 / conditions.rate_hz, like(cable, "s"), like(cable, "m")
@@ -158,9 +158,9 @@ class World:
         return out
 
     def mesh_error_m(self, effects: Sequence[ActiveEffect] = ()) -> float:
-        """rms change by half the segments and twice the step, over 15: what extrapolation leaves.
+        """Error after extrapolation: rms change by half the segments and twice the step, over 15.
 
-        A bound rather than an estimate: what is left falls with the fourth power.
+        An upper bound: the remaining error falls with the fourth power.
         """
         model, slower = replace(self.model, effects=tuple(effects)), like(self.model.cable, "s")
         hand, t_s = self.hands[0], self.times_s[0]
@@ -173,26 +173,26 @@ class World:
         return float(np.sqrt(np.mean(((c + (c - b) / 3.0) - (b + (b - a) / 3.0)) ** 2)) / 15.0)
 
     def study(self, clean: Sequence[np.ndarray], seed: int, *, quiet: bool = False) -> Study:
-        """As measured, with noise; `quiet`: nothing is wrong with its measurements."""
+        """The study with noise; `quiet`: without errors of measurement."""
         conditions, trials = self.conditions, []
         rng = np.random.default_rng([seed, conditions.number, 2])
         for number, (points, hand) in enumerate(zip(clean, self.hands, strict=True)):
             noise = self._levels(seed, number) * coloured(rng, points.shape, conditions.colour)
-            seen = points + conditions.noise_m * noise
+            markers_m = points + conditions.noise_m * noise
             if conditions.pixel > 0.0:
                 step_m = conditions.pixel * conditions.noise_m
-                seen = step_m * np.round(seen / step_m)
-            seen = points.copy() if quiet else seen
-            gone = rng.uniform(size=seen.shape[:2]) < conditions.lost
+                markers_m = step_m * np.round(markers_m / step_m)
+            markers_m = points.copy() if quiet else markers_m
+            gone = rng.uniform(size=markers_m.shape[:2]) < conditions.lost
             gone[[0, -1]] = False
-            seen[gone] = np.nan
+            markers_m[gone] = np.nan
             trials.append(
                 Trial(
                     f"trial_{number}",
                     self.roles[number],  # type: ignore[arg-type]
                     "equilibrium",
-                    _logged(rng, hand, conditions, quiet),
-                    Markers(self.times_s[number], seen),
+                    _as_log(rng, hand, conditions, quiet),
+                    Markers(self.times_s[number], markers_m),
                 )
             )
         return Study(f"breadth_{conditions.number}", self.model.cable, self.arc_length_m,
@@ -206,7 +206,7 @@ class World:
         return (levels / np.sqrt(np.mean(levels**2)))[trial, :, None]
 
     def showing(self, effect: type[Effect]) -> tuple[ActiveEffect, list[np.ndarray], float]:
-        """An effect as strong as `conditions.shift` asks, what it does, and its shift in noises."""
+        """Effect with the shift `conditions.shift`, its markers, and its shift over the noise."""
         base, wanted = self.clean(), self.conditions.shift * self.conditions.noise_m
         size = 1.0
         for attempt in range(ATTEMPTS):
@@ -237,7 +237,7 @@ def _random_cable(rng: np.random.Generator, conditions: Conditions) -> CableMode
 
 
 def _period_s(model: CableModel) -> float:
-    """Of the first mode: the beam's, and beside it that of a hanging rope."""
+    """Period of the first mode, of the beam and a hanging rope combined, s."""
     cable, mean = model.cable, float(np.mean(model.rigidity_n_m2))
     length = cable.free_length_m
     square = 12.36 * mean / (cable.line_density_kg_per_m * length**4) + 1.45 * GRAVITY / length
@@ -252,8 +252,8 @@ def _after_s(
     return float(max(LEAST_PERIODS * period_s, min(wanted, most)))
 
 
-def _logged(rng: np.random.Generator, hand: Motion, conditions: Conditions, quiet: bool) -> Motion:
-    """The gripper's log at its own rate, noisy; a quiet one is the gripper's motion itself."""
+def _as_log(rng: np.random.Generator, hand: Motion, conditions: Conditions, quiet: bool) -> Motion:
+    """The gripper's log at its own rate, noisy; if `quiet`, the gripper's motion itself."""
     if quiet:
         return hand
     t_s = np.arange(0.0, hand.t_s[-1] + 1.0 / conditions.log_hz, 1.0 / conditions.log_hz)

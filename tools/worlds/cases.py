@@ -1,4 +1,4 @@
-"""Reproducible studies with a known answer, each given by a source, a kind and a number."""
+"""Reproducible studies with a known answer, each defined by a source, a kind and a number."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ RIGS = ("all", "complete", *RIG_KINDS)
 
 @dataclass(frozen=True)
 class Case:
-    """A study that `made` makes again: its source, kind and number (or name), and what is drawn.
+    """Definition of a study for `made`: source, kind and number (or name), and random conditions.
 
     seed     of all breadth studies, from which their conditions follow
-    changed  conditions of breadth studies that are the same in all
-    count    breadth studies of the kind, over which the conditions are spread
+    changed  conditions that are set in all breadth studies
+    count    number of breadth studies of the kind, over which the conditions are spread
     """
 
     source: str
@@ -61,10 +61,10 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class MadeStudy:
-    """A study in a folder, what is hidden in it, and what the lab is offered.
+    """A study in a folder, its hidden effects, and the effects that the lab may use.
 
-    hidden   effects that are to be named; `unsaid`: such that are there and may be named
-    power    of the test that knows the truth; 1 where nothing is hidden
+    hidden   effects to be named; `unsaid`: further present effects that may be named
+    power    of the ideal test that knows the truth; 1 without a hidden effect
     noise_m  true noise, nan if not known
     """
 
@@ -82,20 +82,20 @@ class MadeStudy:
 def made(case: Case) -> Iterator[MadeStudy]:
     """The study of a case, in a folder that is removed afterwards.
 
-    raises  DivergedError, UnsettledError: no cable swings so
+    raises  DivergedError, UnsettledError: the simulation fails
     """
     if case.source in ("practice", "real"):
-        yield _given(case)
+        yield _existing(case)
         return
     makers = {"made": _usual, "breadth": _broad, "rigs": _of_rig, "mujoco": _by_mujoco}
     with TemporaryDirectory() as root:
         folder = Path(root) / "study"
-        study, found = makers[case.source](case, folder)
+        study, made_study = makers[case.source](case, folder)
         write_study(study, folder)
-        yield found
+        yield made_study
 
 
-def _given(case: Case) -> MadeStudy:
+def _existing(case: Case) -> MadeStudy:
     folder = SHARED / case.source / case.number
     if case.source == "real":
         return MadeStudy(folder, EffectSelection((), library()))
@@ -148,8 +148,8 @@ def _by_mujoco(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     elif case.kind in ("one", "law"):
         names, hidden = mujoco.drawn(case.seed, seed, case.kind == "law")
     cable = mujoco.specimen(1000 * case.seed + seed, hidden, step)
-    # twice the tables' step: it moves the markers by less than a thousandth of the noise
-    # twice the links where a mass is hidden: with fewer, the chain itself moves the mass's place
+    # twice the tables' step, which moves the markers by less than a thousandth of the noise
+    # twice the links with a hidden mass: with fewer, the chain itself shifts the mass's place
     links = mujoco.LINKS * (2 if "point_mass" in names else 1)
     study = mujoco.study_of(
         cable, seed=1000 * case.seed + seed, step_s=2.0 * mujoco.STEP_S, links=links
@@ -185,11 +185,11 @@ def _broad(case: Case, folder: Path) -> tuple[Study, MadeStudy]:
     clean = shown[0][1] if len(shown) == 1 else world.clean([active for active, *_ in shown])
     lacking = [[o for o in effects if o is not e] for e in effects]
     powers = [_breadth_power(world, clean, case.seed, len(known), rest) for rest in lacking]
-    told = {k: v for k, v in asdict(conditions).items() if k != "number"}
+    stated = {k: v for k, v in asdict(conditions).items() if k != "number"}
     study, names = world.study(clean, case.seed), tuple(e.name for e in effects)
     selection = EffectSelection((), offered)
     power = min(powers, default=1.0)
-    return study, MadeStudy(folder, selection, names, (), power, noise_m, None, told)
+    return study, MadeStudy(folder, selection, names, (), power, noise_m, None, stated)
 
 
 def true_noise_m(conditions: Conditions) -> float:
@@ -226,7 +226,7 @@ def _breadth_power(
     tests: int,
     there: Sequence[type[Effect]],
 ) -> float:
-    """Power of a test that knows the truth, with these effects in its model."""
+    """Power of an ideal test that knows the truth, with these effects in its model."""
     conditions = world.conditions
     study = all_fitted(world.study(clean, seed, quiet=True))
     rounding = conditions.pixel**2 / 12.0

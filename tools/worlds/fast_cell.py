@@ -1,7 +1,7 @@
 """Simulated cell without pictures: nodes with noise; everything else as in `cell run`.
 
 A cable takes a third of a second instead of several, so that thousands can be tried.  The world is
-finer than the model, and its noise is what vision has.
+finer than the model, and its noise is that of vision.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from tools.worlds.fast_truth import (
     Errors,
     filmed_of,
     moved_until,
-    seen_execution,
-    seen_hold,
+    observed_execution,
+    observed_hold,
     true_hold,
     truths,
     until,
 )
 from tools.worlds.made_studies import WORLD, logged
 
-#: A cable counts as one that a perfect model could insert if its best offset passes by this, m:
-#: three times what arm and camera repeat to.
+#: Least margin of the best offset, m, for a cable to count as insertable by a perfect model: three
+#: times the repeatability of arm and camera.
 INSERTABLE_M = 3e-4
 CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
@@ -55,9 +55,9 @@ CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 class FastCycle:
     """Measurements, decision and result of one cable; None = the cycle did not come so far.
 
-    best_margin_m   of all offsets, in truth: whether a perfect model could insert this cable;
+    best_margin_m   true margin of the best offset: whether a perfect model could insert this cable;
                     nan = only the chosen one was simulated
-    true_margin_m   of the offset that was chosen, or would have been
+    true_margin_m   of the chosen offset, or of the best rejected one
     """
 
     held: Trial
@@ -77,7 +77,7 @@ class FastCycle:
 
     @property
     def outcome(self) -> str:
-        """As a result says it."""
+        """Outcome as of a `Result`."""
         if self.passage is None:
             return "rejected"
         if self.stopped:
@@ -121,8 +121,8 @@ def fast_cycle(
 ) -> FastCycle:
     """One cycle with the `number`-th hidden cable of a seed.
 
-    only_chosen  of the offsets, for a third less time
-    flown        what happens in flight, and whether it is corrected; None = nothing, and it is not
+    only_chosen  simulate the true margin of the chosen offset only, for a third less time
+    flown        disturbances in flight, and whether it is corrected; None = neither
     """
     task = cell_task(settings) if task is None else task
     hidden = hidden_cable(settings, seed, number) if hidden is None else hidden
@@ -133,7 +133,7 @@ def fast_cycle(
     t_s = np.arange(0.001, float(down.t_s[-1]), 1.0 / frame_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
     hand = logged(rng, down, errors.log_m)
-    held = seen_hold(task, hidden, down, t_s, hand, bias, errors, rng)
+    held = observed_hold(task, hidden, down, t_s, hand, bias, errors, rng)
     end_s = _end_of_hold_s(task, timing, held)
     held, down = until(held, end_s), moved_until(down, end_s)
     start_s, filmed = end_s + task.decide_s, filmed_of(held)
@@ -148,8 +148,8 @@ def fast_cycle(
     table = [(o, 0.0, 1.0, 0.0) for o in task.offsets_m]
     if expected is not None:
         coming = expected.forecast
-        beside = (coming.delays_s, coming.paces, coming.further_m)
-        table = list(zip(coming.offsets_m, *beside, strict=True))
+        options = (coming.delays_s, coming.paces, coming.further_m)
+        table = list(zip(coming.offsets_m, *options, strict=True))
     truth = truths(task, hidden, down, start_s, lag_s, table)
     at_s = np.arange(0.0, truth.end_s - start_s, 0.005)
     index = None if choice is None else choice.table.index(choice.best)
@@ -173,7 +173,7 @@ def fast_cycle(
     motion = truth.motions[index]
     if flown is not None:
         cycle, motion = _flown(cycle, view, flown, at_s, rng)
-    executed = seen_execution(task, hidden, motion, start_s, held, bias, errors, rng)
+    executed = observed_execution(task, hidden, motion, start_s, held, bias, errors, rng)
     passage = measured_passage(
         task.destination,
         executed.markers.t_s,
@@ -206,7 +206,7 @@ def _in_truth(
 def _flown(
     cycle: FastCycle, view: View, flown: Flown, at_s: FloatArray, rng: np.random.Generator
 ) -> tuple[FastCycle, Motion]:
-    """The cycle with what happened in flight, and the gripper's true motion."""
+    """The cycle with its flight, and the gripper's true motion."""
     task, coming, identified = view.task, cycle.candidates, cycle.identified
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
@@ -234,16 +234,16 @@ def _flown(
 
 
 def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
-    """When the hold ends, as `EarlyEstimator` ends it."""
+    """End of the hold by the rule of `EarlyEstimator`, s."""
     last_s = float(held.grip.t_s[-1])
     if task.least_hold_s is None:
         return last_s
     rest_s, previous = last_s - task.hold_s, None
     for after_s, end_s in possible_ends_s(task, task.least_hold_s, task.hold_s):
-        seen = until(held, rest_s + after_s)
+        part = until(held, rest_s + after_s)
         try:
             previous = identify(
-                seen,
+                part,
                 task.arc_length_m,
                 task.cable,
                 previous=previous,
@@ -252,9 +252,9 @@ def _end_of_hold_s(task: Task, timing: Timing, held: Trial) -> float:
         except CableRejectedError:
             continue
         start_s = rest_s + end_s + task.decide_s
-        coming = simulate_offsets(task, timing, filmed_of(seen), seen, previous, start_s)
-        asked = coming.forecast, previous, task.destination, task.choice
-        if enough_frames(choose(*asked), *asked):
+        coming = simulate_offsets(task, timing, filmed_of(part), part, previous, start_s)
+        inputs = coming.forecast, previous, task.destination, task.choice
+        if enough_frames(choose(*inputs), *inputs):
             return rest_s + end_s
     return last_s
 
@@ -280,10 +280,10 @@ def fast_measured(
     hidden: CableModel,
     errors: Errors = Errors(),  # noqa: B008
 ) -> Trial:
-    """A hidden cable only measured with a motion; the noise is of the `number`-th of a seed."""
+    """A hidden cable measured with a motion only; the noise is of the `number`-th of a seed."""
     rng = np.random.default_rng([seed, number, 2])
     t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
     hand = logged(rng, motion, errors.log_m)
-    trial = seen_hold(task, hidden, motion, t_s, hand, bias, errors, rng)
+    trial = observed_hold(task, hidden, motion, t_s, hand, bias, errors, rng)
     return replace(trial, name="stroke")

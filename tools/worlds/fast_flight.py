@@ -25,11 +25,11 @@ class Flown:
     """Conditions of a simulated insertion.
 
     feedback   whether it is corrected
-    late_s     by so much earlier the last frame was taken that is used
-    dead_s     a change can begin so long after it is decided
-    knock      when the gripper is set off, and by how much to the right and up, m
-    lost       share of the frames in which nothing is seen
-    latency_s  by so much later than known pictures come
+    late_s     age of the last used frame at a decision
+    dead_s     delay between a decision and the earliest beginning of a change
+    knock      time at which the gripper is displaced, and displacement to the right and up, m
+    lost       share of the frames without a detection
+    latency_s  unknown additional delay of the pictures
     """
 
     feedback: bool = False
@@ -42,7 +42,7 @@ class Flown:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Gives what the camera measures of a hidden cable in flight."""
+    """Measurements of the camera of a hidden cable in flight."""
 
     task: Task
     timing: Timing
@@ -55,12 +55,12 @@ class View:
     executing: Executing
 
     def expected_nodes(self, path: Trajectory, t_s: FloatArray) -> FloatArray:
-        """Of a path, as the cell simulates it in flight."""
+        """Predicted nodes for a path, as the cell simulates it in flight."""
         at_s, motion = self.executing.begin_s + t_s, self.executing.motion(path)
         return expected_nodes(self.identified, motion, at_s, self.task.arc_length_m)
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
-        """The gripper's true one, the hold before included."""
+        """The gripper's true motion, including the hold."""
         motion = full_motion(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
         if flown.knock is None:
             return motion
@@ -72,12 +72,12 @@ class View:
     def nodes_m(
         self, motion: Motion, t_s: FloatArray, flown: Flown, rng: np.random.Generator
     ) -> FloatArray:
-        """(frames, nodes, 2) as seen, from when the gripper is commanded to move."""
+        """(frames, nodes, 2) as observed, from the gripper's command to move on."""
         at_s = self.start_s + t_s - flown.latency_s
         nodes = simulate(self.hidden, motion, at_s, self.task.arc_length_m, solver=WORLD)[0]
-        seen = pictured(nodes, self.bias, self.errors, rng)
-        seen[rng.random(len(seen)) < flown.lost] = np.nan
-        return seen
+        observed_m = pictured(nodes, self.bias, self.errors, rng)
+        observed_m[rng.random(len(observed_m)) < flown.lost] = np.nan
+        return observed_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class Inserted:
 
     motion   true, of the gripper
     tails    changes of the path that were commanded
-    tip_m    (T, 2) as last predicted, at the times of the answers
-    stopped  whether the gripper was stopped in front of the opening, which is not simulated
+    tip_m    (T, 2) last prediction, at the times of the responses
+    stopped  whether the gripper was stopped before the opening, which is not simulated
     """
 
     motion: Motion
@@ -101,17 +101,17 @@ def inserted(
 ) -> Inserted:
     """Simulate an insertion with corrections decided as by `Corrector`."""
     done = Inserted(view.motion(path, flown), (), flight.response.nodes_m[:, 0])
-    left = list(decisions_s(flight.response, flight.destination)) if flown.feedback else []
-    while left:
-        decide_s = left.pop(0)
+    pending = list(decisions_s(flight.response, flight.destination)) if flown.feedback else []
+    while pending:
+        decide_s = pending.pop(0)
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
-        seen_m = view.nodes_m(done.motion, t_s, flown, rng)
-        decision = flight.decide(t_s, seen_m, decide_s + flown.dead_s)
+        observed_m = view.nodes_m(done.motion, t_s, flown, rng)
+        decision = flight.decide(t_s, observed_m, decide_s + flown.dead_s)
         if decision.tail is not None:
             path = decision.tail.of(path)
             flight = flight.expecting(view.expected_nodes(path, flight.response.t_s))
             tails = (*done.tails, decision.tail)
             done = Inserted(view.motion(path, flown), tails, decision.tail.tip_m)
-        elif decision.hopeless and not left:
+        elif decision.hopeless and not pending:
             done = replace(done, stopped=True)
     return done

@@ -40,14 +40,14 @@ def full_motion(task: Task, down: Motion, path: Trajectory, start_s: float, lag_
     late = executed_motion(path, lag_s, settle_s=task.settle_s)
     rows = np.column_stack([late.t_s + start_s, late.x_m, late.y_m, late.angle_rad])
     before = np.column_stack([down.t_s, down.x_m, down.y_m, down.angle_rad])
-    whole = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
-    return Motion(*(np.ascontiguousarray(c) for c in whole.T))
+    full = np.vstack([before, rows[rows[:, 0] > down.t_s[-1] + 1e-6]])
+    return Motion(*(np.ascontiguousarray(c) for c in full.T))
 
 
 def until(trial: Trial, end_s: float) -> Trial:
     """The trial cut at `end_s`."""
-    seen = trial.markers.t_s < end_s
-    markers = replace(trial.markers, t_s=trial.markers.t_s[seen], xy_m=trial.markers.xy_m[seen])
+    early = trial.markers.t_s < end_s
+    markers = replace(trial.markers, t_s=trial.markers.t_s[early], xy_m=trial.markers.xy_m[early])
     return replace(trial, grip=moved_until(trial.grip, end_s), markers=markers)
 
 
@@ -119,7 +119,7 @@ def after_rest(motion: Motion, still_s: float) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """Measurement errors that are the same in all pictures of a cable."""
+    """Measurement errors that are constant in all pictures of a cable."""
 
     stretch: FloatArray
     across_m: FloatArray
@@ -138,7 +138,7 @@ def pictured(nodes: FloatArray, bias: Bias, errors: Errors, rng: np.random.Gener
     return np.asarray(shifted + errors.node_m * coloured(rng, nodes.shape, errors.colour))
 
 
-def seen_hold(
+def observed_hold(
     task: Task,
     hidden: CableModel,
     motion: Motion,
@@ -149,20 +149,20 @@ def seen_hold(
     rng: np.random.Generator,
 ) -> Trial:
     nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
-    seen_m = pictured(nodes, bias, errors, rng)
-    return hold_trial(hand, t_s, seen_m, *gripper_seen(motion, t_s, errors, rng))
+    observed_m = pictured(nodes, bias, errors, rng)
+    return hold_trial(hand, t_s, observed_m, *observed_gripper(motion, t_s, errors, rng))
 
 
-def gripper_seen(
+def observed_gripper(
     motion: Motion, t_s: FloatArray, errors: Errors, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """(frames, 2) gripping points and (frames,) clamp angles relative to the log, as seen."""
-    seen = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
-    grip_m = seen + errors.grip_m * rng.normal(size=seen.shape)
+    """(frames, 2) gripping points and (frames,) clamp angles relative to the log, as observed."""
+    true_m = np.stack([np.interp(t_s, motion.t_s, v) for v in (motion.x_m, motion.y_m)], axis=-1)
+    grip_m = true_m + errors.grip_m * rng.normal(size=true_m.shape)
     return grip_m, errors.angle_rad * rng.normal(size=len(t_s))
 
 
-def seen_execution(
+def observed_execution(
     task: Task,
     hidden: CableModel,
     motion: Motion,

@@ -1,7 +1,7 @@
-"""Power of an ideal test that knows the hidden effect of a study, and how large its signal is.
+"""Power of an ideal test that knows the hidden effect of a study, and the size of its signal.
 
-The χ² that the hidden effect leaves on all trials after the baseline has been fitted without noise,
-against the χ² that a test over the whole library at 1 % asks for.
+The residual χ² of the hidden effect on all trials after a noise-free fit of the baseline, compared
+with the critical χ² of a test over the complete library at 1 %.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from tools.worlds.made_studies import hidden
 from tools.worlds.rigs import Rig, rig_study
 
 SIGNIFICANCE = 0.01
-#: No motion from rest tells these apart: with one out of the library the other is right.
+#: Effects that no motion from rest can distinguish: with one out of the library the other is right.
 ONE_CLASS = frozenset({"camera_latency", "robot_lag"})
-#: Power from which a study counts as one that shows its effect.
+#: Least power of a study for its effect to count as detectable.
 SHOWS = 0.8
-#: Wanted of a rig; for it an effect is made stronger so often, by so much at once, and until it is
-#: so many times as strong as is typical.
+#: Least power of a rig; to reach it an effect is enlarged: number of steps, factor of a step, and
+#: largest size over the typical one.
 POWER, MOST_TRIED, MOST_AT_ONCE, STRONGEST = 0.95, 3, 5.0, 20.0
 
 
@@ -39,7 +39,7 @@ def class_of(names: Iterable[str]) -> frozenset[str]:
 
 
 def without_noise(quiet: Study, noise: Noise) -> PreparedStudy:
-    """Prepare a noise-free study as if its measurements had the given noise."""
+    """Prepare a noise-free study as if its measurements had a noise."""
     prepared = PreparedStudy.of(replace(quiet, noise_std_m=noise.std_m))
     return with_noise_model(prepared, replace(prepared.noise_model, noise=noise, dof=1e9))
 

@@ -1,7 +1,7 @@
-"""Studies with a known answer for the lab's long trials: random cables, motions, noise, effects.
+"""Studies with a known answer for long trials of the lab: random cables, motions, noise, effects.
 
-The world is finer than the model (60 segments, half its step) and the cable's EI(s) is drawn from
-another family than the model's spline, so that the model is not compared with itself.
+The world is finer than the model (60 segments, half its step) and the cable's EI(s) is of a
+different family than the model's spline, so that the model is not compared with itself.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cell.plan.measuring import quintic
 from cell.study.data import Markers, Study, Trial
 
 CABLE = Cable(0.1, 0.0074, 0.016, 0.0001)
-#: Powers of line density and free length by which a quantity of like cables grows, by its unit.
+#: Powers of line density and free length in the scaling of similar cables, by unit of the quantity.
 LIKE = {
     "kg": (1.0, 1.0),
     "kg/m": (1.0, 0.0),
@@ -81,7 +81,7 @@ class Step:
 
     @staticmethod
     def drawn(seed: int) -> Step:
-        """By a factor 1.3 … 2 up or down, anywhere but at the ends."""
+        """A random step by a factor 1.3 … 2 up or down, away from the ends."""
         rng = np.random.default_rng([seed, 7])
         size = rng.uniform(np.log(1.3), np.log(2.0)) * rng.choice([-1.0, 1.0])
         return Step(float(np.exp(size)), float(rng.uniform(0.1, 0.9)))
@@ -122,15 +122,15 @@ def make_study(
     for name, role, angle, way, seconds in STROKES:
         hand = stroke(angle, way, seconds)
         t_s = np.arange(rng.uniform(0.0, FRAME_S), hand.t_s[-1], FRAME_S)
-        seen = filmed(rng, model, hand, t_s, arcs, noise_m=noise, colour=rho)
-        trials.append(Trial(name, role, "equilibrium", logged(rng, hand, 1e-5), seen))
+        markers = filmed(rng, model, hand, t_s, arcs, noise_m=noise, colour=rho)
+        trials.append(Trial(name, role, "equilibrium", logged(rng, hand, 1e-5), markers))
     return Study(f"made_{seed}", CABLE, arcs, tuple(trials))
 
 
 def random_model(
     rng: np.random.Generator, cable: Cable, effects: Sequence[ActiveEffect]
 ) -> CableModel:
-    """Random cable model; of another cable than `CABLE` one that droops and swings alike."""
+    """Random cable model; for a cable other than `CABLE` a dynamically similar one."""
     s = np.linspace(0.0, 1.0, 9)
     wave = 0.2 * np.sin(2.0 * np.pi * (rng.uniform(0.4, 1.2) * s + rng.uniform()))
     rigidity = rng.uniform(1.8e-5, 4e-5) * (1.0 + wave + rng.uniform(-0.2, 0.2) * (s - 0.5))
@@ -175,7 +175,7 @@ def filmed(
     colour: float = 0.0,
     **options: Any,
 ) -> Markers:
-    """Markers of a cable as a camera sees them: AR(1) noise of `noise_m`, m.
+    """Markers of a cable in a camera's pictures: AR(1) noise of `noise_m`, m.
 
     options  of `simulate`; the mesh is that of `WORLD`, if they name no solver
     """

@@ -1,4 +1,4 @@
-"""Studies made by MuJoCo: the lab against physics that none of the project's own code computes.
+"""Studies made by MuJoCo: physics that is independent of the project's own code.
 
 The cable is a chain of 50 rigid links with springs and dampers between them.  The gripper's
 acceleration enters as gravity, which is exact as long as it does not turn.
@@ -30,7 +30,7 @@ LINKS = 50
 #: MuJoCo integrates to first order: two steps, extrapolated.
 STEP_S = 2e-4
 GRIP_S = 0.002
-#: Times at which the chain is kept, between which it is interpolated.
+#: Interval of the stored states of the chain, between which it is interpolated, s.
 KEPT_S = 0.002
 NODES_M = node_arc_lengths(LENGTH_M)
 #: The magnet's pull is finite at its pole.
@@ -130,12 +130,12 @@ class Chain:
         )
 
     def accelerate(self, acceleration: np.ndarray) -> None:
-        """Gravity as felt in the gripper's frame."""
+        """Set the effective gravity in the gripper's frame."""
         x, y = np.subtract(GRAVITY_M_PER_S2, acceleration)
         self.model.opt.gravity[:] = (x, 0.0, y)
 
     def apply(self, hand_place: np.ndarray) -> None:
-        """Forces of which MuJoCo has none of its own: hysteresis in bending, the magnet."""
+        """Apply forces that MuJoCo lacks: hysteresis in bending, the magnet."""
         hidden, data = self.hidden, self.data
         data.qfrc_applied[:] = 0.0
         moment, scale = hidden.bending_hysteresis
@@ -192,16 +192,16 @@ class Chain:
         edges = self.step_s * np.arange(steps + 1)
         place = stroke.place_m(edges)
         velocity = (stroke.place_m(edges + 1e-5) - stroke.place_m(edges - 1e-5)) / 2e-5
-        # mean acceleration over each step, so that the gripper ends where it should
+        # mean acceleration over each step, so that the gripper's end position is exact
         acceleration = np.diff(velocity, axis=0) / self.step_s
-        kept = [self.data.qpos.copy()]
+        stored = [self.data.qpos.copy()]
         for k in range(steps):
             self.accelerate(acceleration[k])
             self.apply(place[k])
             mujoco.mj_step(self.model, self.data)
             if (k + 1) % every == 0:
-                kept.append(self.data.qpos.copy())
-        return KEPT_S * np.arange(len(kept)), np.array(kept)
+                stored.append(self.data.qpos.copy())
+        return KEPT_S * np.arange(len(stored)), np.array(stored)
 
     def points(self, angles: np.ndarray, share: np.ndarray) -> np.ndarray:
         """(times, markers, 2) points at shares of the cable, from the gripping point, m."""
@@ -218,10 +218,10 @@ class Chain:
         return np.asarray(path(share * LENGTH_M))
 
 
-def seen(
+def true_markers(
     specimen: Specimen, stroke: Stroke, t_s: np.ndarray, links: int = LINKS, step_s: float = STEP_S
 ) -> np.ndarray:
-    """(times, markers, 2) markers as a perfect camera sees them, m."""
+    """(times, markers, 2) true places of the markers, m."""
     end_s = float(t_s[-1]) + 0.03
     chains = [Chain(specimen, stroke.angle_rad, step, links) for step in (step_s, step_s / 2)]
     (times, coarse), (_, fine) = (c.swing(stroke, end_s) for c in chains)
@@ -246,7 +246,7 @@ def study_of(
     for stroke in strokes:
         end_s = STILL_S + stroke.seconds + HOLD_S
         t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
-        points = seen(specimen, stroke, t_s, links, step_s)
+        points = true_markers(specimen, stroke, t_s, links, step_s)
         points = points + noise_m * coloured(rng, points.shape, colour)
         logged_s = np.arange(0.0, end_s, GRIP_S)
         angle = np.full(len(logged_s), stroke.angle_rad)
@@ -257,7 +257,7 @@ def study_of(
 
 
 def specimen(seed: int, hidden: Hidden, step: tuple[float, float] = (1.0, 0.5)) -> Specimen:
-    """A random cable with something hidden."""
+    """A random cable with hidden physics."""
     rng = np.random.default_rng([seed, 4])
     return Specimen(
         rigidity_n_m2=float(rng.uniform(1.8e-5, 4e-5)),
@@ -270,7 +270,7 @@ def specimen(seed: int, hidden: Hidden, step: tuple[float, float] = (1.0, 0.5)) 
 
 
 def drawn(seed: int, number: int, outside: bool) -> tuple[tuple[str, ...], Hidden]:
-    """What a study's cable hides: a magnet, or an effect by its number, 1 to 3 times typical."""
+    """Hidden physics of a study: a magnet, or an effect by its number, 1 to 3 times typical."""
     size = float(np.random.default_rng([seed, number, 5]).uniform(1.0, 3.0))
     if outside:
         return ("magnet",), Hidden(magnet=(2e-5 * size, -0.1, -0.15))

@@ -1,4 +1,4 @@
-"""Laws that are not in the library, to be hidden in a world; typical values shift the tip.
+"""Laws outside the library, to be hidden in a world; typical values shift the tip.
 
 The search terms for the last four of the ten were designed with these laws in mind; the laws of
 LATER were invented after all terms.
@@ -18,7 +18,7 @@ LAWS: dict[str, type[Effect]] = {}
 
 
 def law(parameter: str, unit: str, typical: float) -> Callable[[Callable], type[Effect]]:
-    """Make an effect of its hook: `force`, or `moment`, which is given the memory as well."""
+    """Make an effect of its hook: `force`, or `moment`, which also gets the memory."""
 
     def made(hook: Callable) -> type[Effect]:
         name, kind = hook.__name__, "moment" if hook.__code__.co_argcount == 4 else "force"
@@ -135,7 +135,7 @@ def two_slopes(cable, at, m, p):
 
 
 class Puff(Effect):
-    """As `draught`, from `begin_s` on, rising within 50 ms; only in worlds, never to be found."""
+    """As `draught`, from `begin_s` on, rising within 50 ms; only in worlds, no candidate."""
 
     name = "puff"
     parameters = (

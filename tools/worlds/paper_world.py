@@ -83,10 +83,10 @@ def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArr
 @cache
 def identified(index: int) -> tuple[Identified, Markers]:
     """Model of a cable identified from its hold, and the markers used."""
-    seen = measure(individuals()[index], hold(), index, NODES_M)
+    markers = measure(individuals()[index], hold(), index, NODES_M)
     log = logged(np.random.default_rng([index, 1]), hold(), 1e-5)
-    trial = Trial("identify", "fit", "equilibrium", log, seen)
-    return identify(trial, NODES_M, CABLE), seen
+    trial = Trial("identify", "fit", "equilibrium", log, markers)
+    return identify(trial, NODES_M, CABLE), markers
 
 
 @cache
@@ -96,8 +96,8 @@ def guided() -> tuple[Destination, dict[int, Choice]]:
     motions = [insertion(float(offset)) for offset in OFFSETS_M]
     choices = {}
     for index in trio():
-        found, _ = identified(index)
-        choices[index] = choose(forecast(found, OFFSETS_M, motions), found, opening)
+        estimate, _ = identified(index)
+        choices[index] = choose(forecast(estimate, OFFSETS_M, motions), estimate, opening)
     return opening, choices
 
 
@@ -109,7 +109,7 @@ def best_uniform(nodes_m: FloatArray) -> CableModel:
 
 
 def same_shape(base: CableModel, exponent: float) -> CableModel:
-    """Another exponent with EI changed so that the still shape stays: EI κ^(N−1) is kept."""
+    """A different exponent with the same still shape: EI κ^(N−1) is unchanged."""
     s = np.linspace(0.0, 0.1, 21)
     still = simulate(base, hold(), np.zeros(1), node_arc_lengths(0.1, 201), solver=WORLD)[0, 0]
     heading = np.unwrap(np.arctan2(*np.diff(still[::-1], axis=0).T[::-1]))

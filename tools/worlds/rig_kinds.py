@@ -1,4 +1,4 @@
-"""Random rigs of one kind each, which users may have but the cell has not."""
+"""Random rigs of one kind each, which users may have in contrast to the cell."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def laser(seed: int) -> Rig:
     return replace(rig, arc_length_m=np.array([CABLE.free_length_m]), frame_s=0.002,
                    noise_m=float(np.exp(rng.uniform(np.log(1e-5), np.log(1e-4)))),
                    colour=float(rng.uniform(0.0, 0.3)), tilt_rad=tilt_rad,
-                   seen=0 if tilt_rad > 0.6 else 1)  # fmt: skip
+                   axis=0 if tilt_rad > 0.6 else 1)  # fmt: skip
 
 
 def long(seed: int) -> Rig:
-    """A round cord of 0.5 to 3 m, 0.4 to 2.5 times as stiff as a like cable, moved by up to 0.5 m.
+    """A round cord of 0.5 to 3 m, 0.4 to 2.5 times as stiff as a similar one, moved by up to 0.5 m.
 
     Filmed 60 to 120 times a second with an error of 0.1 to 0.5 ‰ of its length.
     """
@@ -53,9 +53,9 @@ def long(seed: int) -> Rig:
 
 
 def clocks(seed: int) -> Rig:
-    """Rig with other rates of camera and log in each trial; half have a second camera for the tip.
+    """Rig with different rates of camera and log per trial; half have a second camera for the tip.
 
-    Every sample has its true time: what differs is when which is taken.
+    Every sample has its true time; only the sampling differs.
     """
     rng = np.random.default_rng([seed, 44])
     rig = _plain(rng, seed, "clocks", CABLE)
@@ -90,8 +90,8 @@ def accelerometer(seed: int) -> Rig:
 def wrench(seed: int) -> Rig:
     """A round cord of 0.3 to 0.8 m with a force/torque sensor under the jaws and one marker.
 
-    The sensor has a noise of 5 mN and 0.2 mN·m, white in every other rig, and errs by 1 % of what
-    it shows; in half of the rigs it carries 20 g of jaws, which the study states.
+    The sensor has a noise of 5 mN and 0.2 mN·m, white in every other rig, and a gain error of 1 %;
+    in half of the rigs it carries 20 g of jaws, which the study states.
     """
     rng = np.random.default_rng([seed, 46])
     length_m, across_m = rng.uniform(0.3, 0.8), rng.uniform(0.005, 0.009)

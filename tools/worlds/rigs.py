@@ -29,14 +29,14 @@ from tools.worlds.made_studies import (
 )
 from tools.worlds.sensed_grippers import arc, by_accelerometer, by_encoder, drift_of, turning
 
-#: How many rigs have a feature.
+#: Share of rigs with a feature.
 SHARES = {"slow": 0.4, "shapes": 0.4, "connector": 0.3, "curved": 0.3, "glitches": 0.4,
           "one coordinate": 0.2}  # fmt: skip
 STARTS = ("at rest", "at rest", "held", "moving")
-#: Features that are effects: sizes of their typical strength.
+#: Features that are effects: sizes over the typical one.
 AS_EFFECTS = {"connector": ("tip_mass", 1.0, 3.0), "curved": ("natural_curvature", 0.5, 2.0)}
 SLOW_FRAME_S = 1.0 / 30.0
-#: Shapes along the cable of what a fitted shape errs by.
+#: Shapes of the errors along the cable of a fitted shape.
 ERRING_SHAPES = 3
 
 
@@ -57,11 +57,11 @@ class ForceSensor:
     def shown(
         self, rng: np.random.Generator, model: CableModel, hand: Motion, quiet: bool
     ) -> Wrench:
-        """What it shows of a cable from rest; `quiet`: nothing is wrong with it."""
+        """Readings for a cable from rest; `quiet`: without errors."""
         t_s = np.arange(rng.uniform(0.0, 1.0 / self.rate_hz), hand.t_s[-1], 1.0 / self.rate_hz)
         tip_m = np.array([model.cable.length_m])
-        (seen,) = simulate_gauged(model, hand, [t_s], tip_m, Gauge(self.tool), solver=WORLD)
-        values = seen[:, 1:].reshape(len(t_s), -1)[:, :3]
+        (gauged,) = simulate_gauged(model, hand, [t_s], tip_m, Gauge(self.tool), solver=WORLD)
+        values = gauged[:, 1:].reshape(len(t_s), -1)[:, :3]
         if quiet:
             return Wrench(t_s, values)
         sizes = np.array([self.force_n, self.force_n, self.moment_nm])
@@ -69,27 +69,26 @@ class ForceSensor:
         return Wrench(t_s, self.gain * values + noise + rng.normal(size=3) * [2.0, 2.0, 0.1])
 
     def stated(self, quiet: bool) -> WrenchSensor:
-        """As a study states it: its noise only where there is none to be seen."""
+        """Sensor as stated in a study: with its noise only where the data show none."""
         noise = (self.force_n, self.moment_nm) if quiet else (None, None)
         return WrenchSensor(Gauge(self.tool), *noise)
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A rig, its cable and what is wrong with its measurements.
+    """A rig, its cable and its errors of measurement.
 
-    features  besides those that are effects
-    updates   frames for which an erring shape stays the same
-    seen      axis of the one coordinate, or None: both
-    known     effects that the lab is told of; unsaid: those that are there as well
-    reach     of the strokes, over those of `STROKES` for a like cable
-    stiffer   rigidity, over that of a like cable
-    clocks    per trial the frames' and the log's steps, s; none = `frame_s`, and the log's own
+    features  except those that are effects
+    updates   number of frames with the same error of a fitted shape
+    axis      of the only observed coordinate; None = both
+    known     effects in the lab's model; unsaid: further present effects
+    reach     of the strokes, over those of `STROKES` for a similar cable
+    stiffer   rigidity, over that of a similar cable
+    clocks    per trial the frames' and the log's steps, s; empty = `frame_s`, and the log's own
     arc_std_m  standard deviation of the markers' arc lengths, which the study states
-    parted    the outer half of the markers is seen by a second camera, of another rate and clock
-    counts    a turn, of an encoder that tells the gripper, which is on an arm of `arm_m`; 0 = none
-              is
-    turns_rad  by how much a clamp turns whose motion an accelerometer tells; None = none does
+    parted    a second camera with its own rate and clock observes the outer half of the markers
+    counts    per turn, of an encoder of the gripper, which is on an arm of `arm_m`; 0 = no encoder
+    turns_rad  turn of a clamp with an accelerometer; None = no accelerometer
     sensor    under the jaws, if there is one
     """
 
@@ -102,7 +101,7 @@ class Rig:
     noise_m: float
     colour: float
     updates: int
-    seen: int | None
+    axis: int | None
     start: str
     known: tuple[ActiveEffect, ...]
     unsaid: tuple[ActiveEffect, ...]
@@ -134,9 +133,9 @@ class Rig:
             noise_m, updates = rng.uniform(2e-3, 7e-3), int(rng.integers(2, 5))
             arcs = node_arc_lengths(length, int(rng.integers(3, 7)))[:-1]
         tilt_rad = float(rng.choice([0.0, 0.6, 1.2]))
-        seen = None
+        axis = None
         if "one coordinate" in has:
-            arcs, seen = np.array([0.85 * length]), 0 if tilt_rad > 0.6 else 1
+            arcs, axis = np.array([0.85 * length]), 0 if tilt_rad > 0.6 else 1
         known, unsaid = [], []
         for feature, (name, low, high) in AS_EFFECTS.items():
             if feature in has and name != effect:
@@ -144,37 +143,37 @@ class Rig:
                 there = hidden(library()[name], size, cable)
                 (known if rng.uniform() < 0.5 else unsaid).append(there)
         frame_s = SLOW_FRAME_S if "slow" in has else 0.005 * like(cable, "s")
-        kept = tuple(f for f in has if f not in AS_EFFECTS)
-        return Rig(seed, kept, cable, arcs, frame_s, tilt_rad, noise_m, rng.uniform(0.0, 0.6),
-                   updates, seen, str(rng.choice(STARTS)), tuple(known), tuple(unsaid))  # fmt: skip
+        features = tuple(f for f in has if f not in AS_EFFECTS)
+        return Rig(seed, features, cable, arcs, frame_s, tilt_rad, noise_m, rng.uniform(0.0, 0.6),
+                   updates, axis, str(rng.choice(STARTS)), tuple(known), tuple(unsaid))  # fmt: skip
 
     @property
     def sensed(self) -> bool:
-        """Whether a sensor tells the gripper, and no log of its place."""
+        """Whether the gripper's motion is from a sensor, without a log of its place."""
         return self.counts > 0 or self.turns_rad is not None
 
     @property
     def noise(self) -> Noise:
-        """Of its markers, as if each value were new."""
+        """Noise of its markers, as if all values were independent."""
         colour = max(self.colour, self.sensor.colour if self.sensor else 0.0)
         return Noise(self.noise_m, colour)
 
     @property
     def independent(self) -> float:
-        """Share of its values that are, colour apart: shapes are repeated, and err in few ways."""
+        """Share of independent values, except for AR(1): fitted shapes repeat, with few shapes."""
         if self.updates == 1:
             return 1.0
         return min(1.0, ERRING_SHAPES / len(self.arc_length_m)) / self.updates
 
 
 def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> Study:
-    """The study of a rig with an effect hidden; `quiet`: nothing is wrong with its measurements."""
+    """The study of a rig with a hidden effect; `quiet`: without errors of measurement."""
     rng, errors = (np.random.default_rng([rig.seed, i]) for i in (2, 4))
     there = (*rig.known, *rig.unsaid, *([effect] if effect else []))
     model = random_model(rng, rig.cable, there)
     model = replace(model, rigidity_n_m2=rig.stiffer * model.rigidity_n_m2)
     arcs_m, trials = rig.arc_length_m, []
-    rig = rig if quiet else _misplaced(rig)
+    rig = rig if quiet else _with_true_places(rig)
     for number, (name, role, angle, way, seconds) in enumerate(STROKES[:5]):
         slower, longer = like(rig.cable, "s"), rig.reach * like(rig.cable, "m")
         frame_s, log_s = rig.clocks[number] if rig.clocks else (rig.frame_s, 0.0)
@@ -196,23 +195,23 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
         t_s = np.arange(begin_s, hand.t_s[-1], frame_s)
         of_second = np.arange(begin_s, hand.t_s[-1], rig.parted) if rig.parted else t_s
         t_s = np.union1d(t_s, of_second)
-        seen, moved = _simulated(rng, model, hand, t_s, rig, start, still_s), hand
+        markers_m, moved = _simulate(rng, model, hand, t_s, rig, start, still_s), hand
         hand = _at_steps(hand, log_s) if log_s else hand
         sensor = rig.sensor
         wrench = None if sensor is None else sensor.shown(errors, model, moved, quiet)
         second, outer = np.isin(t_s, of_second), len(rig.arc_length_m) // 2
         views = [(second, slice(None, outer)), (~second, slice(outer, None))] if rig.parted else []
         for (_, markers), (rows, _) in zip(views, reversed(views), strict=True):
-            seen[rows, markers] = np.nan
+            markers_m[rows, markers] = np.nan
         if not quiet:
             for rows, markers in views or [(slice(None), slice(None))]:
-                clean = seen[rows, markers]
-                seen[rows, markers] += rig.noise_m * _erring(errors, rig, clean.shape)
-            hand = hand if rig.sensed else _logged(errors, rig, hand)
-        if rig.seen is not None:
-            seen[..., 1 - rig.seen] = np.nan
+                clean = markers_m[rows, markers]
+                markers_m[rows, markers] += rig.noise_m * _erring(errors, rig, clean.shape)
+            hand = hand if rig.sensed else _noisy_log(errors, rig, hand)
+        if rig.axis is not None:
+            markers_m[..., 1 - rig.axis] = np.nan
         trials.append(Trial(name, role, start, hand,
-                            Markers(t_s, seen), still_s if start == "held" else None,
+                            Markers(t_s, markers_m), still_s if start == "held" else None,
                              drift, wrench))  # fmt: skip
     stated = quiet or {"shapes", "one coordinate"} & set(rig.features)
     std_m = np.full(len(arcs_m), rig.arc_std_m) if rig.arc_std_m else None
@@ -226,7 +225,7 @@ def rig_study(rig: Rig, effect: ActiveEffect | None, *, quiet: bool = False) -> 
     return by_accelerometer(study, errors)
 
 
-def _simulated(
+def _simulate(
     rng: np.random.Generator,
     model: CableModel,
     hand: Motion,
@@ -235,9 +234,9 @@ def _simulated(
     start: str,
     release_s: float,
 ) -> np.ndarray:
-    """(times, markers, 2) of the world; fingers at the tip and inside the cable bend what is held.
+    """(times, markers, 2) of the world; a held cable is bent by fingers at its tip and middle.
 
-    The curvature that they add has a kink, and they let go some milliseconds beside the time noted.
+    Their curvature has a kink, and they release some milliseconds off the stated time.
     """
     if start != "held":
         return simulate(model, hand, t_s, rig.arc_length_m, solver=WORLD)[0]
@@ -252,7 +251,7 @@ def _simulated(
 
 
 def _erring(rng: np.random.Generator, rig: Rig, shape: tuple[int, ...]) -> np.ndarray:
-    """(times, markers, 2) what the camera errs by, of rms 1."""
+    """(times, markers, 2) errors of the camera, of rms 1."""
     if rig.updates == 1:
         return coloured(rng, shape, rig.colour)
     times = shape[0]
@@ -264,20 +263,20 @@ def _erring(rng: np.random.Generator, rig: Rig, shape: tuple[int, ...]) -> np.nd
     return np.repeat(smooth, rig.updates, axis=0)[:times] + 0.02 * rng.normal(size=shape)
 
 
-def _misplaced(rig: Rig) -> Rig:
-    """The rig with its markers where they really are."""
+def _with_true_places(rig: Rig) -> Rig:
+    """The rig with the true places of its markers."""
     errors = np.random.default_rng([rig.seed, 5]).normal(size=len(rig.arc_length_m))
     places_m = np.clip(rig.arc_length_m + rig.arc_std_m * errors, 0.0, rig.cable.length_m)
     return replace(rig, arc_length_m=np.sort(places_m)[::-1])
 
 
 def _at_steps(hand: Motion, step_s: float) -> Motion:
-    """A log at other times of its own."""
+    """The motion at the times of a different log."""
     t_s = np.arange(hand.t_s[0], hand.t_s[-1], step_s)
     return Motion(t_s, *(np.interp(t_s, hand.t_s, v) for v in (hand.x_m, hand.y_m, hand.angle_rad)))
 
 
-def _logged(rng: np.random.Generator, rig: Rig, hand: Motion) -> Motion:
+def _noisy_log(rng: np.random.Generator, rig: Rig, hand: Motion) -> Motion:
     if "glitches" not in rig.features:
         return logged(rng, hand, 1e-5)
     noisy = logged(rng, hand, 3e-5)

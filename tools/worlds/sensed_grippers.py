@@ -36,10 +36,10 @@ from cell.study.imports.mapping import (
 from cell.study.imports.write import mapping_text
 from cell.study.table import table_text
 
-#: Of an accelerometer: noise of a sample and offset, m/s², samples a second.
+#: Accelerometer: noise of a sample and offset, m/s², samples a second.
 NOISE, OFFSET, RATE_HZ = 0.02, 0.1, 1000.0
 DENSITY = NOISE * float(np.sqrt(2.0 / RATE_HZ))
-#: Of an encoder: samples a second.
+#: Encoder: samples a second.
 ENCODER_HZ = 500.0
 _TABLE = TextSection(separator=",", decimal=".")
 _PLANE = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
@@ -49,7 +49,7 @@ _TIME = TimeSection(column="t_s", seconds_per_unit=1.0)
 def arc(hand: Motion, radius_m: float, way_m: tuple[float, float]) -> Motion:
     """Motion of a gripper on a rotating arm, along an arc as long as the way of `hand`.
 
-    At the clamp angle at which `hand` begins; down or to the left it turns downwards.
+    Its clamp angle is the initial one of `hand`; down or to the left it turns downwards.
     """
     done = np.hypot(hand.x_m, hand.y_m) / radius_m
     turn = hand.angle_rad + (1.0 if way_m[0] + way_m[1] < 0.0 else -1.0) * done
@@ -74,11 +74,11 @@ def by_encoder(study: Study, radius_m: float, counts: int) -> Study:
         radius_m=radius_m,
     )  # fmt: skip
     hand = GripperSection(turns=turns, angle=AngleSection(follows=True), text=_TABLE, time=_TIME)
-    return _imported(study, hand, ("t_s", "encoder"), logs)
+    return _import(study, hand, ("t_s", "encoder"), logs)
 
 
 def by_accelerometer(study: Study, rng: np.random.Generator) -> Study:
-    """The study with its hands as a sensor at the clamp and a log of the angle show them."""
+    """The study with grippers as measured by a sensor at the clamp and a log of the angle."""
     logs = []
     offset = OFFSET * rng.choice([-1.0, 1.0], 2)
     for trial in study.trials:
@@ -95,7 +95,7 @@ def by_accelerometer(study: Study, rng: np.random.Generator) -> Study:
     )
     angle_section = AngleSection(column="angle", radians_per_unit=1.0)
     hand = GripperSection(acceleration=sensor, angle=angle_section, text=_TABLE, time=_TIME)
-    return _imported(study, hand, ("t_s", "acc_x", "acc_y", "angle"), logs)
+    return _import(study, hand, ("t_s", "acc_x", "acc_y", "angle"), logs)
 
 
 def _at(grip: Motion, rate_hz: float) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -104,10 +104,10 @@ def _at(grip: Motion, rate_hz: float) -> tuple[np.ndarray, list[np.ndarray]]:
     return t_s, [CubicSpline(grip.t_s, v)(t_s) for v in values]
 
 
-def _imported(
+def _import(
     study: Study, hand: GripperSection, columns: Sequence[str], logs: Sequence[np.ndarray]
 ) -> Study:
-    """By files and a mapping, which may state less of a study than it has."""
+    """The study after an import from files and a mapping, which may state less of it."""
     names = [f"m{i}" for i in range(len(study.arc_length_m))]
     places = [f"{n}_{a}" for n in names for a in "xy"]
     mapping = Mapping(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tools.worlds.made_studies import STROKES, Stroke
-from tools.worlds.mujoco_studies import Hidden, Specimen, seen
+from tools.worlds.mujoco_studies import Hidden, Specimen, true_markers
 
 RATE_HZ, LASTS_S = 100.0, 1.4
 #: Standard deviations of a marker and of the gripper, which the robot's log gives.
@@ -35,7 +35,7 @@ def table(cable: Specimen, stroke: Stroke, rng: np.random.Generator) -> str:
     t_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
     gripper = stroke.place_m(t_s)
     gripper += rng.normal(0.0, GRIPPER_NOISE_M, gripper.shape)
-    markers = seen(cable, stroke, t_s)[:, list(SHOWN.values())]
+    markers = true_markers(cable, stroke, t_s)[:, list(SHOWN.values())]
     markers += rng.normal(0.0, MARKER_NOISE_M, markers.shape)
     points_mm = 1e3 * (np.concatenate([gripper[:, None], markers], axis=1) - ORIGIN_M)
     rows = [["time_s", *(f"{p}_{a}_mm" for p in ("gripper", *SHOWN) for a in "xy")]]
@@ -52,7 +52,7 @@ def tables(cable: str, motions: Sequence[str] = tuple(MOTIONS)) -> dict[str, str
 
 
 def write(folder: Path) -> None:
-    """All tables, a folder for each cable."""
+    """Write all tables, a folder for each cable."""
     for cable in CABLES:
         (folder / cable).mkdir(parents=True, exist_ok=True)
         for motion, text in tables(cable).items():

@@ -1,6 +1,6 @@
 """Actions of people at the pages, copied into the ledger from the log of actions.
 
-The log, lines of JSON, is written first; the ledger may be away, and takes them up later.
+The log, lines of JSON, is written first; they are copied later if the ledger is not reachable.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sqlalchemy import Connection, func, insert, select
 from cell.records.ledger.database import database_errors, opened, writing
 from cell.records.ledger.tables import actions
 
-#: Lines that are taken over at a time.
+#: Number of lines that are copied in one transaction.
 _MOST = 1000
 
 
@@ -26,7 +26,7 @@ _MOST = 1000
 class Action:
     """One action.
 
-    by    whoever did it, or tried to
+    by    user who did it, or tried to
     done  whether it was allowed and accepted
     """
 
@@ -52,7 +52,7 @@ def take_over(ledger: str | Path, log: Path, line: str) -> int:
     if not log.exists():
         return 0
     with opened(ledger) as engine, writing(engine) as connection:
-        source, after = _reached(connection, log)
+        source, after = _last_copied(connection, log)
         rows = _rows(log, after)
         if rows:
             common = {"source": source, "line": line}
@@ -63,7 +63,7 @@ def take_over(ledger: str | Path, log: Path, line: str) -> int:
 def listed_actions(
     ledger: str | Path, since: datetime | None = None, most: int | None = None
 ) -> list[Action]:
-    """Actions since a time, oldest first; of too many the newest.  Raises LedgerError."""
+    """Actions since a time, oldest first, at most the newest `most`.  Raises LedgerError."""
     query = select(actions).order_by(actions.c.at.desc(), actions.c.id.desc())
     if since is not None:
         query = query.where(actions.c.at >= since.astimezone(UTC).replace(tzinfo=None))
@@ -75,11 +75,11 @@ def listed_actions(
     ]
 
 
-def _reached(connection: Connection, log: Path) -> tuple[str, int | None]:
-    """What the ledger calls a log, and the place of its newest line there; None = there is none.
+def _last_copied(connection: Connection, log: Path) -> tuple[str, int | None]:
+    """Name of a log in the ledger, and place of its newest line there; None = there is none.
 
-    A log that was begun anew, because the one before was moved away, is another source: it is told
-    by when its first line was written.
+    A new log, after the former one was moved away, is a different source: sources are identified
+    by the time of their first line.
     """
     source = f"{platform.node()}:{log.resolve()}"[-300:]
     newest = select(actions).where(actions.c.source == source).order_by(actions.c.place.desc())
@@ -98,7 +98,7 @@ def _reached(connection: Connection, log: Path) -> tuple[str, int | None]:
 
 
 def _rows(log: Path, after: int | None) -> list[dict[str, Any]]:
-    """Whole lines after the one at a place in the file; `place`: where a line begins."""
+    """Complete lines after the one at a place in the file; `place`: offset of a line."""
     rows: list[dict[str, Any]] = []
     with log.open("rb") as file:
         if after is not None:
@@ -114,14 +114,14 @@ def _rows(log: Path, after: int | None) -> list[dict[str, Any]]:
 
 
 def _row(text: bytes) -> dict[str, Any] | None:
-    """A line of the log; None = it is none, as after a power cut."""
+    """A line of the log; None = it is not valid, as after a power cut."""
     try:
-        said = json.loads(text)
-        at = datetime.fromisoformat(said["at"]).astimezone(UTC).replace(tzinfo=None)
-        by, action = str(said["by"])[:100], str(said["action"])[:100]
+        entry = json.loads(text)
+        at = datetime.fromisoformat(entry["at"]).astimezone(UTC).replace(tzinfo=None)
+        by, action = str(entry["by"])[:100], str(entry["action"])[:100]
         return {
-            "at": at, "by": by, "action": action, "done": bool(said["done"]),
-            "note": str(said["note"]),
+            "at": at, "by": by, "action": action, "done": bool(entry["done"]),
+            "note": str(entry["note"]),
         }  # fmt: skip
     except (ValueError, KeyError, TypeError):
         return None

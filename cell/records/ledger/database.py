@@ -21,26 +21,26 @@ from cell.records.ledger.entry import LedgerError
 from cell.records.ledger.tables import HEAD, upgrade, version
 from drivers.installing import install_extra
 
-#: How the file of a ledger ends.
+#: Suffix of a ledger's file.
 _SUFFIX = ".sqlite"
-#: How long another process may keep the database for itself, s.
+#: How long another process may lock the database, s.
 BUSY_S = 5.0
-#: Pause before a file that another process begins with is asked again for write-ahead logging, s.
+#: Pause before write-ahead logging is requested again for a file that another process opens, s.
 _AGAIN_S = 0.01
 #: How long a server may take to answer a connection, s.
 CONNECT_S = 3
-#: A server's lock that whoever writes holds meanwhile, as SQLite has one of its own.
+#: Lock on a server that a writer holds during its transaction; SQLite has its own.
 _LOCK = 0x63656C6C
 
 
 def url_of(place: str | Path) -> URL:
-    """URL of a ledger: of a file, of the one beside a folder of records, or as given.
+    """URL of a ledger: of a file, of the file next to a folder of records, or the URL itself.
 
     raises  LedgerError: no such kind of database
     """
     if isinstance(place, Path) or "://" not in place:
         path = Path(place)
-        if path.suffix != _SUFFIX:  # beside the folder, as its log
+        if path.suffix != _SUFFIX:  # next to the folder, like its log
             if path.is_file():
                 raise LedgerError(
                     f"{path} is a file, and none named *{_SUFFIX}: give a folder of records, a "
@@ -87,7 +87,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     if path is not None and read_only:
         query = {"mode": "ro", "uri": "true"}
         if not path.with_name(f"{path.name}-wal").exists():  # nobody writes to it now
-            query["immutable"] = "1"  # no file beside it is needed for others that do
+            query["immutable"] = "1"  # no auxiliary file is needed
         url = url.set(database=f"file:{path}", query=query)
     try:
         engine = create_engine(url, **_arguments(in_file))
@@ -114,7 +114,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
 
 @contextmanager
 def opened(place: str | Path) -> Iterator[Engine]:
-    """An engine of a ledger that is there, disposed of at the end.  Raises LedgerError."""
+    """An engine of an existing ledger, disposed of at the end.  Raises LedgerError."""
     engine = open_engine(url_of(place), create=False)
     try:
         yield engine
@@ -129,20 +129,20 @@ def database_errors(engine: Engine) -> Iterator[None]:
         yield
     except SQLAlchemyError as error:
         cause = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
-        says = f"{engine.url.render_as_string()}: {cause}"
+        line = f"{engine.url.render_as_string()}: {cause}"
         if _is_damaged(error):
-            raise LedgerError(f"{says}; {_move_away(Path(engine.url.database or ''))}") from error
-        raise LedgerError(says) from error
+            raise LedgerError(f"{line}; {_move_away(Path(engine.url.database or ''))}") from error
+        raise LedgerError(line) from error
 
 
 def _is_damaged(error: SQLAlchemyError) -> bool:
-    """Whether SQLite says that the file is no database, or one that is damaged."""
+    """Whether SQLite reports that the file is no database, or a damaged one."""
     code = getattr(getattr(error, "orig", None), "sqlite_errorcode", 0)
     return code & 0xFF in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
 
 
 def _move_away(file: Path) -> str:
-    """What a person does about a damaged file: its log would be taken for that of a new one."""
+    """Remedy for a damaged file: move it with its log, which would be used for a new file."""
     moved, here = (shlex.quote(str(p)) for p in (file.with_name(f"damaged-{file.name}"), file))
     return (
         "stop the programs that use it, then "
@@ -153,7 +153,7 @@ def _move_away(file: Path) -> str:
 
 @contextmanager
 def writing(engine: Engine) -> Iterator[Connection]:
-    """A transaction that writes: of several at once the others wait.  Raises LedgerError."""
+    """A transaction that writes; concurrent ones wait.  Raises LedgerError."""
     with (
         database_errors(engine),
         engine.connect().execution_options(writing=True) as connection,
@@ -171,7 +171,7 @@ def _arguments(in_file: bool) -> dict[str, Any]:
 
 
 def _keep_transactions(engine: Engine, read_only: bool) -> None:
-    """Have SQLite do what is asked, and no more: Python's module begins transactions by itself."""
+    """Begin transactions explicitly: Python's module for SQLite begins them by itself."""
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: object) -> None:
@@ -188,9 +188,9 @@ def _keep_transactions(engine: Engine, read_only: bool) -> None:
 
 
 def _write_ahead(connection: Any) -> None:
-    """Have a file's changes written to a log beside it first.
+    """Switch a file to write-ahead logging.
 
-    While another process begins with a new file, SQLite refuses this at once instead of waiting.
+    While another process opens a new file, SQLite refuses this at once instead of waiting.
     raises  sqlite3.OperationalError: after `BUSY_S`, too
     """
     until_s = time.monotonic() + BUSY_S
@@ -206,22 +206,22 @@ def _write_ahead(connection: Any) -> None:
 
 def _bring_up_to_date(engine: Engine, create: bool) -> None:
     with engine.connect() as connection:
-        found = _version(connection)
-    if found == HEAD:
+        held = _version(connection)
+    if held == HEAD:
         return
     where = engine.url.render_as_string()
-    if found is not None and found > HEAD:
+    if held is not None and held > HEAD:
         raise LedgerError(
-            f"{where} is of a newer version ({found}) than this program knows ({HEAD}): use the "
+            f"{where} is of a newer version ({held}) than this program knows ({HEAD}): use the "
             "newer program, or another ledger"
         )
     if not create:
-        what = "has no tables of a ledger" if found is None else f"is of an older version ({found})"
-        raise LedgerError(f"{where} {what}; the next `cell run` that uses it brings it up to date")
+        state = "has no tables of a ledger" if held is None else f"is of an older version ({held})"
+        raise LedgerError(f"{where} {state}; the next `cell run` that uses it brings it up to date")
     with writing(engine) as connection:
-        found = _version(connection)
-        if found != HEAD:  # nobody else has done it meanwhile
-            upgrade(connection, found)
+        held = _version(connection)
+        if held != HEAD:  # nobody else has done it meanwhile
+            upgrade(connection, held)
 
 
 def _version(connection: Connection) -> str | None:

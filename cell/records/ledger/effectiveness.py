@@ -11,13 +11,13 @@ from typing import Any
 from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.result import Outcome
 
-#: Share of insertions that are as quick as the ideal cycle, where none is given.
+#: Quantile of the insertion times that is the ideal cycle, where none is configured.
 QUICK = 0.1
 
 
 @dataclass(frozen=True)
 class Shift:
-    """What a line did in one shift.  Shares are None where they have no meaning: 0 / 0.
+    """Times and counts of a line in one shift.  Shares are None where they are undefined: 0 / 0.
 
     planned_s      length of the shift, up to now: planned busy time (PBT)
     running_s      time at work on cables: actual production time (APT)
@@ -46,7 +46,7 @@ class Shift:
 
     @property
     def performance(self) -> float | None:
-        """How quick the cables were, of what is possible."""
+        """Ideal time over actual time of the cables."""
         share = _share((self.ideal_s or 0.0) * self.cables, self.running_s)
         return None if self.ideal_s is None or share is None else min(share, 1.0)
 
@@ -83,7 +83,7 @@ def shifts(
 
     begins   when shifts begin, of every day, in local time
     now      with a time zone
-    ideal_s  of one cable; None = what the quickest tenth of the insertions needed
+    ideal_s  of one cable; None = time of the quickest tenth of the insertions
     raises   LedgerError
     """
     span = ledger.span(wanted)
@@ -91,7 +91,7 @@ def shifts(
         return []
     if ideal_s is None:
         ideal_s = ledger.quick_cycle_s(wanted, QUICK)
-    found = []
+    listed = []
     for begin, end in shift_bounds(span[0], min(span[1], now), begins):
         since = begin if wanted.since is None else max(begin, wanted.since)
         until = end if wanted.until is None else min(end, wanted.until)
@@ -100,12 +100,12 @@ def shifts(
             continue
         planned_s = (min(until, now) - since).total_seconds()
         cables, inserted = sum(outcomes.values()), outcomes.get(Outcome.INSERTED.value, 0)
-        found.append(Shift(since, until, planned_s, running_s, ideal_s, cables, inserted))
-    return found
+        listed.append(Shift(since, until, planned_s, running_s, ideal_s, cables, inserted))
+    return listed
 
 
 def shift_start(begins: Sequence[time], now: datetime) -> datetime:
-    """When the shift under way began; `begins` of every day, local time."""
+    """Beginning of the current shift; `begins` of every day, local time."""
     days = (now.date() - timedelta(days=1), now.date())
     marks = [datetime.combine(day, begin).astimezone() for day in days for begin in begins]
     return max(m for m in marks if m <= now)
@@ -124,5 +124,5 @@ def shift_bounds(
     return [(begin, end) for begin, end in pairs if end > first and begin <= last]
 
 
-def _share(part: float, whole: float) -> float | None:
-    return part / whole if whole > 0.0 else None
+def _share(part: float, total: float) -> float | None:
+    return part / total if total > 0.0 else None

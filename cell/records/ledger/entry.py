@@ -1,4 +1,4 @@
-"""What the ledger stores of a cycle."""
+"""Entries of the ledger: one per cycle."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ class LedgerEntry:
 
     line         that the cell belongs to
     part         id of the cable; None = it has none
-    product      what is made; None = the settings have no products
-    aim          outcome that was meant
+    product      of the cable; None = the settings have no products
+    aim          intended outcome
     result       None = it has not ended yet
     calibration  hash of the calibration's files; None = as typed
     software     version of this program
-    acknowledged   that its fault was looked at; None = not yet
-    waited       s since the cycle before, by what for: `start`, `downstream`, `acknowledgement`, …
+    acknowledged   acknowledgement of its fault; None = not yet
+    waited       s since the previous cycle, by reason: `start`, `downstream`, `acknowledgement`, …
     """
 
     line: str
@@ -81,7 +81,7 @@ class LedgerEntry:
 
     @property
     def uid(self) -> str:
-        """What this cycle is known by, wherever its folder is now."""
+        """Identifier of this cycle, independent of the place of its folder."""
         return f"{self.line}/{self.folder.name}"
 
     def to_json(self) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def estimates_of(model: Mapping[str, Any] | None) -> tuple[LedgerEstimate, ...]:
 
 
 def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
-    """Ledger entry of a cycle's folder; None = it is no cycle's, or unreadable."""
+    """Ledger entry of a cycle's folder; None = it is not a cycle's folder, or is unreadable."""
     cycle, state = cycle_of(folder), known_json(folder / "state.json")
     if cycle is None:
         return None

@@ -1,4 +1,4 @@
-"""How an entry becomes rows of the ledger's tables."""
+"""Converts entries to rows of the ledger's tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cell.records.ledger.tables import (
 
 
 def write_entry(connection: Connection, entry: LedgerEntry, of_now: bool) -> None:
-    """Insert an entry, or update what has changed of it; arguments as of `Ledger.write`."""
+    """Insert an entry, or update its changes; arguments as of `Ledger.write`."""
     known = connection.execute(
         select(cycles.c.id, cycles.c.outcome, cycles.c.ordered).where(cycles.c.uid == entry.uid)
     ).first()
@@ -34,7 +34,7 @@ def write_entry(connection: Connection, entry: LedgerEntry, of_now: bool) -> Non
             return
     values = _row(entry) | {"part_id": _part(connection, entry.part)}
     if known is None:
-        values["ordered"] = _ordered(connection, entry) if of_now else utc(entry.started)
+        values["ordered"] = _order_time(connection, entry) if of_now else utc(entry.started)
         number = connection.execute(insert(cycles).values(values)).inserted_primary_key
         assert number is not None
         at = number[0]
@@ -67,10 +67,10 @@ def write_entry(connection: Connection, entry: LedgerEntry, of_now: bool) -> Non
         acknowledge_cycle(connection, at, entry.acknowledged)
 
 
-def acknowledge_cycle(connection: Connection, at: int, said: Acknowledgement) -> None:
+def acknowledge_cycle(connection: Connection, at: int, ack: Acknowledgement) -> None:
     """Write the acknowledgement of a cycle's fault; `at`: number of the cycle."""
     connection.execute(delete(acknowledgements).where(acknowledgements.c.cycle_id == at))
-    row = {"cycle_id": at, "at": utc(said.at), "by": said.by, "note": said.note}
+    row = {"cycle_id": at, "at": utc(ack.at), "by": ack.by, "note": ack.note}
     connection.execute(insert(acknowledgements), [row])
 
 
@@ -102,18 +102,18 @@ def _row(entry: LedgerEntry) -> dict[str, Any]:
 
 
 def _part(connection: Connection, code: str | None) -> int | None:
-    """Number of a part, which is made if there is none of this id."""
+    """Number of a part, which is inserted if its id is new."""
     if code is None:
         return None
-    found = connection.scalar(select(parts.c.id).where(parts.c.code == code))
-    if found is None:
+    part_id = connection.scalar(select(parts.c.id).where(parts.c.code == code))
+    if part_id is None:
         number = connection.execute(insert(parts).values(code=code)).inserted_primary_key
         assert number is not None
-        found = number[0]
-    return int(found)
+        part_id = number[0]
+    return int(part_id)
 
 
-def _ordered(connection: Connection, entry: LedgerEntry) -> datetime:
+def _order_time(connection: Connection, entry: LedgerEntry) -> datetime:
     """When the cycle began, but not before the line's newest: a clock may have been set back."""
     started = utc(entry.started)
     newest = connection.scalar(
@@ -123,12 +123,12 @@ def _ordered(connection: Connection, entry: LedgerEntry) -> datetime:
 
 
 def _short_names(seconds: Mapping[str, float]) -> dict[str, float]:
-    """Names of what was waited for may be a person's note: as much of each as the table takes."""
-    found: dict[str, float] = {}
+    """Times by names that are cut to the table's width: a name may be a person's note."""
+    shortened: dict[str, float] = {}
     for name, spent_s in seconds.items():
         short = name[:LONGEST_NAME]
-        found[short] = found.get(short, 0.0) + spent_s
-    return found
+        shortened[short] = shortened.get(short, 0.0) + spent_s
+    return shortened
 
 
 def utc(moment: datetime) -> datetime:

@@ -44,7 +44,7 @@ from drivers.installing import install_extra
 
 #: Newest cycles that charts and the promotion check look at.
 MOST = 500
-#: Cycles that tell of forecasts and fits.
+#: Outcomes of cycles with forecasts and fits.
 TELLING = (Outcome.INSERTED, Outcome.MISSED, Outcome.REJECTED)
 #: `Fault.code` of a cycle that a commanded stop has ended.
 STOPPED = "stop"
@@ -55,10 +55,10 @@ class LedgerQuery:
     """Filter of cycles; None or empty = all.
 
     since, until   of their beginning; with a time zone
-    outcomes       "running or killed" are those that have none
-    fault          a reason code, or the beginning of some: `arm` is all of the arm, "" is any
+    outcomes       "running or killed" selects cycles without a result
+    fault          a reason code, or a prefix: `arm` selects all of the arm, "" any fault
     product        "" = of none, as without products in the settings
-    acknowledged   whether somebody has acknowledged the fault
+    acknowledged   whether the fault is acknowledged
     """
 
     since: datetime | None = None
@@ -96,12 +96,12 @@ class ListedCycle:
 
     @property
     def uid(self) -> str:
-        """As of its `Entry`."""
+        """Identifier, as of its `LedgerEntry`."""
         return f"{self.line}/{self.folder.name}"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: one level, as a row of a table."""
-        fault, seen = self.fault or Fault("", ""), self.acknowledged
+        fault, ack = self.fault or Fault("", ""), self.acknowledged
         data: dict[str, Any] = {
             "started": self.started.isoformat(),
             "ended": None if self.ended is None else self.ended.isoformat(),
@@ -109,9 +109,9 @@ class ListedCycle:
             **{k: getattr(self, k) for k in ("outcome", "reason")},
             **{f"fault_{k}": getattr(fault, k) or None for k in ("code", "step", "device")},
             "fault_cause": fault.cause or None,
-            "acknowledged": None if seen is None else seen.at.isoformat(),
-            "acknowledged_by": None if seen is None else seen.by,
-            "acknowledged_note": (None if seen is None else seen.note) or None,
+            "acknowledged": None if ack is None else ack.at.isoformat(),
+            "acknowledged_by": None if ack is None else ack.by,
+            "acknowledged_note": (None if ack is None else ack.note) or None,
             **self.numbers,
             "running_s": self.running_s,
             **{k: getattr(self, k) for k in ("model", "calibration", "software")},
@@ -140,31 +140,31 @@ class Ledger:
     # --- writing ----------------------------------------------------------------------------------
 
     def write(self, entries: Iterable[LedgerEntry], *, of_now: bool = True) -> None:
-        """Write entries, all or none.  One that is there already becomes what it says now; a cycle
-        that has ended stays so.
+        """Write entries, all or none.  An existing entry is updated; a cycle that has ended stays
+        so.
 
-        of_now  the cycles come after those that are listed, even if the clock was set back; False =
-                they were when they say
+        of_now  the cycles follow those that are listed, even if the clock was set back; False =
+                their own times are used
         """
         with writing(self._engine) as connection:
             for entry in entries:
                 write_entry(connection, entry, of_now)
 
-    def acknowledge(self, of: Iterable[ListedCycle], said: Acknowledgement) -> None:
-        """Write a person's word on the faults of these cycles; it takes the place of another."""
+    def acknowledge(self, of: Iterable[ListedCycle], acknowledgement: Acknowledgement) -> None:
+        """Write the acknowledgement of these cycles' faults; it replaces an earlier one."""
         with writing(self._engine) as connection:
             for cycle in of:
                 at = connection.scalar(select(cycles.c.id).where(cycles.c.uid == cycle.uid))
                 if at is not None:
-                    acknowledge_cycle(connection, at, said)
+                    acknowledge_cycle(connection, at, acknowledgement)
 
-    # --- asking -----------------------------------------------------------------------------------
+    # --- queries ----------------------------------------------------------------------------------
 
     def results(self, line: str, product: str | None = None, *, most: int = MOST) -> list[Result]:
-        """What charts need of a line's newest cycles that tell of forecasts and fits, oldest first:
-        outcome, model, misses, parameters.
+        """Newest cycles of a line with forecasts and fits, oldest first, as charts need them:
+        outcome, model, errors, parameters.
 
-        product  only its cycles; None = only those of no product
+        product  only its cycles; None = only those without a product
         """
         newest = (
             select(cycles.c.id, *_CHARTED)
@@ -176,7 +176,7 @@ class Ledger:
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
-        with self._asking() as connection:
+        with self._reading() as connection:
             rows = connection.execute(newest).all()[::-1]
             estimates = _estimates(connection, newest)
         results = []
@@ -190,7 +190,7 @@ class Ledger:
     def listed(
         self, wanted: LedgerQuery, most: int | None = None, *, estimates: bool = False
     ) -> list[ListedCycle]:
-        """Cycles that are asked for, oldest first; of too many the newest.
+        """Cycles of a query, oldest first, at most the newest `most`.
 
         estimates  with the cables' parameters
         """
@@ -201,34 +201,34 @@ class Ledger:
             .order_by(cycles.c.ordered.desc(), cycles.c.id.desc())
             .limit(most)
         )
-        with self._asking() as connection:
+        with self._reading() as connection:
             rows = connection.execute(query).all()[::-1]
             known = _estimates(connection, query) if estimates else {}
         return [self._cycle(row, known.get(row.id, ())) for row in rows]
 
     def count(self, wanted: LedgerQuery) -> dict[str, int]:
-        """Number of cycles that are asked for, by outcome."""
+        """Number of cycles of a query, by outcome."""
         query = _of_cycles(select(cycles.c.outcome, func.count()), wanted)
         rows = self._rows(query.group_by(cycles.c.outcome))
         return {outcome or UNFINISHED: n for outcome, n in rows}
 
     def faults(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
-        """Reason code, number of cycles and newest cause of what has ended them; most first."""
+        """Faults: reason code, number of cycles and newest cause; the most frequent first."""
         columns = faults.c.code.label("kind"), faults.c.cycle_id, faults.c.cause.label("why")
         ended = faults.c.code.is_not(None)
-        return self._counted(_of_cycles(select(*columns).where(ended), wanted))
+        return self._counts(_of_cycles(select(*columns).where(ended), wanted))
 
     def not_inserted(self, wanted: LedgerQuery) -> list[tuple[str, int, str]]:
-        """Outcome, number of cycles and newest reason of those rejected and missed; most first."""
+        """Rejected and missed cycles: outcome, number and newest reason; most frequent first."""
         columns = (
             cycles.c.outcome.label("kind"),
             cycles.c.id.label("cycle_id"),
             cycles.c.reason.label("why"),
         )
         ended = cycles.c.outcome.in_((Outcome.REJECTED.value, Outcome.MISSED.value))
-        return self._counted(_of_cycles(select(*columns).where(ended), wanted))
+        return self._counts(_of_cycles(select(*columns).where(ended), wanted))
 
-    def _counted(self, cycles_of: Select[Any]) -> list[tuple[str, int, str]]:
+    def _counts(self, cycles_of: Select[Any]) -> list[tuple[str, int, str]]:
         """Number and newest `why` of cycles by their `kind`; the most frequent first."""
         each = cycles_of.subquery()
         newest = func.max(each.c.cycle_id).label("newest")
@@ -245,34 +245,34 @@ class Ledger:
         return [(kind, n, why or "") for kind, n, why in rows]
 
     def _rows(self, query: Select[Any]) -> Sequence[Any]:
-        with self._asking() as connection:
+        with self._reading() as connection:
             return connection.execute(query).all()
 
     @contextmanager
-    def _asking(self) -> Iterator[Connection]:
+    def _reading(self) -> Iterator[Connection]:
         with database_errors(self._engine), self._engine.connect() as connection:
             yield connection
 
     def times(self, wanted: LedgerQuery) -> dict[str, dict[str, dict[str, float]]]:
-        """Seconds of the cycles that are asked for: `uid` → kind → name; kinds as in `times`."""
+        """Seconds of the cycles of a query: `uid` → kind → name; kinds as in the table `times`."""
         columns = cycles.c.uid, times.c.kind, times.c.name, times.c.seconds
         query = _of_cycles(select(*columns), wanted)
-        found: dict[str, dict[str, dict[str, float]]] = {}
+        by_cycle: dict[str, dict[str, dict[str, float]]] = {}
         for uid, kind, name, seconds in self._rows(query.where(times.c.cycle_id == cycles.c.id)):
-            found.setdefault(uid, {}).setdefault(kind, {})[name] = seconds
-        return found
+            by_cycle.setdefault(uid, {}).setdefault(kind, {})[name] = seconds
+        return by_cycle
 
     def span(self, wanted: LedgerQuery) -> tuple[datetime, datetime] | None:
-        """When the first and the last cycle that are asked for began; None = there are none."""
+        """When the first and the last cycle of a query began; None = there are none."""
         query = _of_cycles(select(func.min(cycles.c.ordered), func.max(cycles.c.ordered)), wanted)
         ((first, last),) = self._rows(query)
         return None if first is None else (_aware(first), _aware(last))
 
     def work(self, wanted: LedgerQuery) -> tuple[dict[str, int], float]:
-        """Of cycles that were to insert a cable: number by outcome, and time at work in all, s.
+        """Cycles that were to insert a cable: number by outcome, and total time at work, s.
 
-        A cycle that a commanded stop has ended is in the time, and not in the number: the stop says
-        nothing about its cable.
+        A cycle that was ended by a commanded stop counts in the time only: the stop is no result
+        of its cable.
         """
         stopped = select(faults.c.cycle_id).where(faults.c.code == STOPPED)
         counted = case((cycles.c.id.in_(stopped), 0), else_=1)
@@ -288,22 +288,22 @@ class Ledger:
         return {o: int(n) for o, n, _ in rows}, float(sum(s for *_, s in rows))
 
     def quick_cycle_s(self, wanted: LedgerQuery, share: float) -> float | None:
-        """Time at work that this share of the insertions needed at most, s; None = no insertion."""
+        """Quantile of the insertions' time at work, s; None = no insertion."""
         at_work = _of_cycles(select(cycles.c.running_s), wanted).where(
             cycles.c.outcome == Outcome.INSERTED.value, cycles.c.running_s.is_not(None)
         )
-        with self._asking() as connection:
+        with self._reading() as connection:
             number = connection.scalar(select(func.count()).select_from(at_work.subquery())) or 0
             if not number:
                 return None
             at = int(share * (number - 1))
-            found = connection.scalar(at_work.order_by(cycles.c.running_s).offset(at).limit(1))
-        return None if found is None else float(found)
+            quantile_s = connection.scalar(at_work.order_by(cycles.c.running_s).offset(at).limit(1))
+        return None if quantile_s is None else float(quantile_s)
 
     def _cycle(self, row: Any, estimates: Sequence[LedgerEstimate]) -> ListedCycle:
-        seen = None
+        ack = None
         if row.seen_at is not None:
-            seen = Acknowledgement(_aware(row.seen_at), row.seen_by, row.seen_note)
+            ack = Acknowledgement(_aware(row.seen_at), row.seen_by, row.seen_note)
         return ListedCycle(
             **{name: getattr(row, name) for name in _AS_STORED},
             folder=self._folder(row.folder),
@@ -313,19 +313,19 @@ class Ledger:
             numbers={name: getattr(row, name) for name in NUMBERS},
             fault=None if row.code is None else Fault(*(getattr(row, k) for k in _OF_FAULT)),
             estimates=tuple(estimates),
-            acknowledged=seen,
+            acknowledged=ack,
         )
 
-    def _folder(self, said: str) -> Path:
-        """Where a cycle's folder is; beside the ledger if it was moved with it."""
-        folder = Path(said)
+    def _folder(self, stored: str) -> Path:
+        """A cycle's folder; next to the ledger if it was moved with it."""
+        folder = Path(stored)
         if folder.is_dir() or not self.url.drivername.startswith("sqlite"):
             return folder
         moved = Path(self.url.database or "").with_suffix("") / folder.name
         return moved if moved.is_dir() else folder
 
 
-#: What charts need.
+#: Columns that charts need.
 _CHARTED_NAMES = (
     *("cycle", "outcome", "folder", "predicted_miss_m", "measured_miss_m", "predicted_std_m"),
     *("residual_rms_m", "noise_m", "model", "model_misses", "product"),
@@ -333,7 +333,7 @@ _CHARTED_NAMES = (
 _CHARTED = [cycles.c[name] for name in _CHARTED_NAMES]
 _OF_FAULT = ("step", "cause", "device", "remedy", "cable", "code")
 _FAULT_COLUMNS = [faults.c[k] for k in _OF_FAULT]
-#: Entries of a `ListedCycle` that stand so in the tables.
+#: Entries of a `ListedCycle` that are columns of the tables.
 _AS_STORED = (
     *("line", "cycle", "part", "product", "reason"),
     *("model", "calibration", "software", "running_s"),
@@ -341,7 +341,7 @@ _AS_STORED = (
 _SEEN_COLUMNS = [acknowledgements.c[k].label(f"seen_{k}") for k in ("at", "by", "note")]
 
 
-#: Each cycle with its part, its fault and what was said of that.
+#: Each cycle with its part, its fault and the acknowledgement.
 _CYCLES = (
     cycles.outerjoin(parts, parts.c.id == cycles.c.part_id)
     .outerjoin(faults, faults.c.cycle_id == cycles.c.id)
@@ -350,58 +350,58 @@ _CYCLES = (
 
 
 def _of_cycles(query: Select[Any], wanted: LedgerQuery) -> Select[Any]:
-    """A question to the cycles that are asked for; a database skips joins that it does not need."""
+    """A query on the selected cycles; a database skips joins that it does not need."""
     return query.select_from(_CYCLES).where(*_conditions(wanted))
 
 
 def _conditions(wanted: LedgerQuery) -> list[ColumnElement[bool]]:
-    found: list[ColumnElement[bool]] = []
+    conditions: list[ColumnElement[bool]] = []
     if wanted.since is not None:
-        found.append(cycles.c.ordered >= utc(wanted.since))
+        conditions.append(cycles.c.ordered >= utc(wanted.since))
     if wanted.until is not None:
-        found.append(cycles.c.ordered < utc(wanted.until))
+        conditions.append(cycles.c.ordered < utc(wanted.until))
     if wanted.outcomes:
         named = [o for o in wanted.outcomes if o != UNFINISHED]
         of = [cycles.c.outcome.in_(named)] if named else []
         if UNFINISHED in wanted.outcomes:
             of.append(cycles.c.outcome.is_(None))
-        found.append(or_(*of))
+        conditions.append(or_(*of))
     if wanted.acknowledged is not None:
-        seen = acknowledgements.c.cycle_id
-        said = seen.is_not(None) if wanted.acknowledged else seen.is_(None)
-        found += [faults.c.code.is_not(None), said]
+        ack = acknowledgements.c.cycle_id
+        condition = ack.is_not(None) if wanted.acknowledged else ack.is_(None)
+        conditions += [faults.c.code.is_not(None), condition]
     if wanted.fault == "":
-        found.append(faults.c.code.is_not(None))
+        conditions.append(faults.c.code.is_not(None))
     elif wanted.fault is not None:
         below = faults.c.code.startswith(f"{wanted.fault}.", autoescape=True)
-        found.append(or_(faults.c.code == wanted.fault, below))
+        conditions.append(or_(faults.c.code == wanted.fault, below))
     if wanted.product == "":
-        found.append(cycles.c.product.is_(None))
+        conditions.append(cycles.c.product.is_(None))
     elif wanted.product is not None:
-        found.append(cycles.c.product == wanted.product)
+        conditions.append(cycles.c.product == wanted.product)
     for column, value in (
         (cycles.c.line, wanted.line),
         (parts.c.code, wanted.part),
         (cycles.c.model, wanted.model),
     ):
         if value is not None:
-            found.append(column == value)
-    return found
+            conditions.append(column == value)
+    return conditions
 
 
 def _estimates(connection: Connection, of: Select[Any]) -> dict[int, list[LedgerEstimate]]:
-    """Parameters by the number of their cycle, of the cycles that are asked for."""
+    """Parameters of the cycles of a query, by the number of their cycle."""
     chosen = of.with_only_columns(cycles.c.id, maintain_column_froms=True).subquery()
     columns = (parameters.c[k] for k in ("cycle_id", "name", "value", "low", "high"))
     query = select(*columns).join(chosen, chosen.c.id == parameters.c.cycle_id)
-    found: dict[int, list[LedgerEstimate]] = {}
+    by_cycle: dict[int, list[LedgerEstimate]] = {}
     for at, *values in connection.execute(query).all():
-        found.setdefault(at, []).append(LedgerEstimate(*values))
-    return found
+        by_cycle.setdefault(at, []).append(LedgerEstimate(*values))
+    return by_cycle
 
 
 def _aware(moment: datetime) -> datetime:
-    """As people read it: local time, with its zone."""
+    """Local time, with its zone."""
     return moment.replace(tzinfo=UTC).astimezone()
 
 

@@ -1,8 +1,8 @@
 """Every minute of a shift that did not end in an inserted cable, with its cause and evidence.
 
 Each moment of a shift belongs to one cause or to inserted cables: their times add up to the planned
-time of the shift exactly.  A learned model tells which share of the rejected and missed cables it
-would have inserted.
+time of the shift exactly.  A learned model predicts which share of the rejected and missed cables
+it would have inserted.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from cell.records.result import Outcome
 from cell.settings.model import Settings
 from cell.settings.promotion import read_candidate
 
-#: A cycle before which was waited over the end of a shift began at most so much later.
+#: Latest beginning, after the end of a shift, of a cycle whose wait may reach back into the shift.
 _LATER = timedelta(days=7)
 _NONE = timedelta(0)
-#: Steps that are named as slow: so many at most, each slower by so much in the mean, s.
+#: Steps that are named as slow: their greatest number, and least mean delay, s.
 _SLOW_STEPS, _SLOWER_S = 3, 0.05
-#: Of the share's interval.
+#: Confidence of the share's interval.
 CONFIDENCE = 0.95
-#: What is waited for, where its name does not say it; others are as the PLC or a person named them.
+#: Descriptions of wait reasons; others are as the PLC or a person named them.
 _WAITS = {
     "start": "a start",
     "part": "a part",
@@ -54,8 +54,8 @@ class PassingShare:
     """Share of cables whose tip the learned model forecast within the opening, with its interval.
 
     effects         of the model
-    passed, cables  forecasts within the opening, and all: each of a cable that the model before it
-                    rejected or missed, from that cable's own hold, without it in the fit
+    passed, cables  forecasts within the opening, and all: each of a cable that the former model
+                    rejected or missed, from that cable's own hold, held out of the fit
     low, high       95 % interval
     source          Clopper & Pearson 1934, Biometrika 26, 404
     """
@@ -68,7 +68,7 @@ class PassingShare:
 
     @classmethod
     def of(cls, effects: str, passed: int, cables: int) -> PassingShare:
-        """With the exact interval of a binomial share.  Raises ValueError: 0 cables."""
+        """Share with the exact interval of a binomial.  Raises ValueError: 0 cables."""
         from scipy.special import betaincinv
 
         if not 0 <= passed <= cables or not cables:
@@ -102,7 +102,7 @@ class CandidateForecasts:
     counts: Mapping[str, tuple[int, int]]
 
     def share(self, cycles: Sequence[ListedCycle]) -> PassingShare | None:
-        """Of cycles of one outcome; None = cannot tell: another model, or nothing was forecast."""
+        """Share of cycles of one outcome; None = unknown: other model, or no forecast."""
         outcomes = {c.outcome for c in cycles}
         if {c.model for c in cycles} != {self.model} or len(outcomes) != 1:
             return None
@@ -111,9 +111,9 @@ class CandidateForecasts:
 
 
 def read_forecasts(path: Path, settings: Settings, ledger: Ledger) -> CandidateForecasts:
-    """Forecasts in a candidate's file, of cycles that the ledger knows as rejected or missed.
+    """Forecasts in a candidate's file, of cycles that the ledger lists as rejected or missed.
 
-    settings  whose opening the tip must be forecast in, to half its height
+    settings  of the opening, within half of whose height the tip must be forecast
     raises    InputError: the file is no candidate, or its forecasts are damaged; LedgerError
     """
     candidate = read_candidate(path)
@@ -129,13 +129,13 @@ def read_forecasts(path: Path, settings: Settings, ledger: Ledger) -> CandidateF
     low_m, high_m = settings.destination.y_m
     outcomes = (Outcome.REJECTED.value, Outcome.MISSED.value)
     counts: dict[str, tuple[int, int]] = {}
-    for cycle in ledger.listed(LedgerQuery(model=candidate.beside, outcomes=outcomes)):
+    for cycle in ledger.listed(LedgerQuery(model=candidate.baseline, outcomes=outcomes)):
         if cycle.folder.name in errors_m:
             passed, cables = counts.get(cycle.outcome, (0, 0))
             passes = errors_m[cycle.folder.name] < 0.5 * (high_m - low_m)
             counts[cycle.outcome] = passed + passes, cables + 1
     names = [Path(effect.effect).stem for effect in candidate.model.effects]
-    return CandidateForecasts(" + ".join(names), candidate.beside, counts)
+    return CandidateForecasts(" + ".join(names), candidate.baseline, counts)
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ class Loss:
     """Time that was lost for one reason.
 
     reason    as of `Cause`
-    cycles    that it belongs to, or before which it was waited; oldest first
-    evidence  newest cause and acknowledgement, longest wait, or slowest steps; in words
-    passing   of these cables a learned model's share; None = cannot tell
+    cycles    that it belongs to, or that the wait precedes; oldest first
+    evidence  newest cause and acknowledgement, longest wait, or slowest steps, as text
+    passing   share of these cables that a learned model forecasts to pass; None = unknown
     """
 
     kind: LossKind
@@ -157,7 +157,7 @@ class Loss:
 
     @property
     def text(self) -> str:
-        """The cause in a few words."""
+        """Short text of the cause."""
         match self.kind:
             case LossKind.WAITING:
                 return f"waiting for {_WAITS.get(self.reason, self.reason)}"
@@ -174,7 +174,7 @@ class Loss:
 
     @property
     def physics(self) -> str:
-        """Which share of these cables a learned model would have inserted, in words."""
+        """Text of the share of these cables that a learned model would have inserted."""
         if self.kind not in (LossKind.REJECTED, LossKind.MISSED):
             return ""
         return "with a learned model: cannot tell" if self.passing is None else str(self.passing)
@@ -230,7 +230,7 @@ class ShiftLosses:
 class FailureTimes:
     """Failures of one reason code: how often they come, and how long each stops the line.
 
-    mtbf  mean operating time between failures: what is planned and neither stopped nor switched
+    mtbf  mean operating time between failures: planned time that is neither stopped nor switched
           off, divided by the number of failures
     mttr  mean time to restoration: stopped time divided by that number
 
@@ -258,12 +258,12 @@ def failure_times(shifts: Sequence[ShiftLosses]) -> list[FailureTimes]:
     planned = sum((s.planned for s in shifts), _NONE)
     losses = merged(shifts)
     operating = planned - sum((x.lasted for x in losses if x.kind in down), _NONE)
-    found = [
+    failures = [
         FailureTimes(x.reason, n, operating / n, x.lasted / n)
         for x in losses
         if x.kind is LossKind.STOPPED and (n := len(x.cycles))
     ]
-    return sorted(found, key=lambda one: (-one.failures, one.code))
+    return sorted(failures, key=lambda failure: (-failure.failures, failure.code))
 
 
 def shift_losses(
@@ -276,7 +276,7 @@ def shift_losses(
     candidate: CandidateForecasts | None = None,
     waits_now: Mapping[str, float] | None = None,
 ) -> list[ShiftLosses]:
-    """Losses of every shift of every line, oldest first; none of shifts in which nothing ran.
+    """Losses of every shift of every line, oldest first, without shifts in which nothing ran.
 
     wanted     its times and its line
     begins, now, ideal_s  as of `shifts`
@@ -297,33 +297,33 @@ def shift_losses(
         for begin, end in shift_bounds(first, last, begins)
         if begin < last
     ]
-    found: list[ShiftLosses] = []
+    losses: list[ShiftLosses] = []
     lines = [wanted.line] if wanted.line else {c.line for c in ledger.listed(wanted) if bounds}
     for line in lines if bounds else ():
         of_line = replace(wanted, line=line, since=bounds[0][0], until=bounds[-1][1])
         cycles, times = _with_neighbours(ledger, of_line)
         segments = list(timeline(cycles, times, ideal_s, now, waits_now or {}))
-        found += [_shift(line, *bound, segments, times, candidate) for bound in bounds]
+        losses += [_shift(line, *bound, segments, times, candidate) for bound in bounds]
     off = {LossKind.NOT_RUNNING}
-    ran = [s for s in found if s.productive or {loss.kind for loss in s.losses} != off]
+    ran = [s for s in losses if s.productive or {loss.kind for loss in s.losses} != off]
     return sorted(ran, key=lambda shift: (shift.begin, shift.line))
 
 
 def merged(shifts: Sequence[ShiftLosses]) -> list[Loss]:
     """Losses of several shifts, one of each kind and reason, the longest first.
 
-    The evidence is that of the newest shift; the share of a learned model stays if all have it.
+    The evidence is that of the newest shift; the share of a learned model is kept if all have it.
     """
     by_cause: dict[tuple[LossKind, str], list[Loss]] = {}
     for loss in (loss for shift in shifts for loss in shift.losses):
         by_cause.setdefault((loss.kind, loss.reason), []).append(loss)
-    found = []
+    losses = []
     for same in by_cause.values():
         lasted = sum((loss.lasted for loss in same), _NONE)
         cycles = tuple({c.uid: c for loss in same for c in loss.cycles}.values())
         passing = same[-1].passing if len({loss.passing for loss in same}) == 1 else None
-        found.append(replace(same[-1], lasted=lasted, cycles=cycles, passing=passing))
-    return sorted(found, key=lambda loss: -loss.lasted)
+        losses.append(replace(same[-1], lasted=lasted, cycles=cycles, passing=passing))
+    return sorted(losses, key=lambda loss: -loss.lasted)
 
 
 def _with_neighbours(
@@ -348,13 +348,13 @@ def _shift(
     times: Mapping[str, CycleTimes],
     candidate: CandidateForecasts | None,
 ) -> ShiftLosses:
-    """What of the segments lies in a shift, by cause; the rest of it nothing ran."""
+    """Segments within a shift, by cause; in the rest of the shift nothing ran."""
     inside: dict[Cause, list[Segment]] = {}
     for s in segments:
         if max(s.begin, begin) < min(s.end, end):
             clipped = replace(s, begin=max(s.begin, begin), end=min(s.end, end))
             inside.setdefault(s.cause, []).append(clipped)
-    rest = end - begin - _lasted(itertools.chain.from_iterable(inside.values()))
+    rest = end - begin - _duration(itertools.chain.from_iterable(inside.values()))
     productive = inside.pop(None, [])
     off = LossKind.NOT_RUNNING, ""
     if rest > _NONE and off not in inside:
@@ -367,7 +367,7 @@ def _shift(
         cycles = () if cause == off else _cycles_of(parts)
         if kind is LossKind.SLOWER:
             cycles = tuple(c for c in cycles if c.outcome == Outcome.INSERTED)
-        lasted = _lasted(parts) + (rest if cause == off else _NONE)
+        lasted = _duration(parts) + (rest if cause == off else _NONE)
         evidence = _slow_steps(cycles, times, quick_s) if kind is LossKind.SLOWER else ""
         if cause == off and rest > max((s.end - s.begin for s in parts), default=_NONE):
             evidence = "no cycle is listed"
@@ -377,10 +377,10 @@ def _shift(
         losses.append(Loss(kind, reason, lasted, cycles, evidence, passing))
     losses.sort(key=lambda loss: -loss.lasted)
     inserted = sum(begin <= c.started < end for c in _cycles_of(productive))
-    return ShiftLosses(line, begin, end, _lasted(productive), inserted, tuple(losses))
+    return ShiftLosses(line, begin, end, _duration(productive), inserted, tuple(losses))
 
 
-def _lasted(segments: Iterable[Segment]) -> timedelta:
+def _duration(segments: Iterable[Segment]) -> timedelta:
     return sum((s.end - s.begin for s in segments), _NONE)
 
 
@@ -389,17 +389,17 @@ def _cycles_of(segments: Iterable[Segment]) -> tuple[ListedCycle, ...]:
 
 
 def _evidence(kind: LossKind, parts: Sequence[Segment], cycles: Sequence[ListedCycle]) -> str:
-    """What speaks for a cause, in words: of its newest cycle, or its longest time."""
+    """Evidence for a cause, as text: of its newest cycle, or its longest time."""
     newest = cycles[-1] if cycles else None
     if kind in (LossKind.REJECTED, LossKind.MISSED) and newest is not None:
         return newest.reason or ""
     if kind is LossKind.STOPPED and newest is not None and newest.fault is not None:
-        seen = newest.acknowledged
-        if seen is None:
+        ack = newest.acknowledged
+        if ack is None:
             return f"{newest.fault.cause}; not acknowledged"
-        note = f": {seen.note}" if seen.note else ""
-        at = seen.at.astimezone()
-        return f"{newest.fault.cause}; acknowledged by {seen.by} at {at:%m-%d %H:%M}{note}"
+        note = f": {ack.note}" if ack.note else ""
+        at = ack.at.astimezone()
+        return f"{newest.fault.cause}; acknowledged by {ack.by} at {at:%m-%d %H:%M}{note}"
     longest = max(parts, key=lambda s: s.end - s.begin)
     minutes = minutes_in(longest.end - longest.begin)
     return f"at most {minutes:.1f} min at a time, from {longest.begin.astimezone():%m-%d %H:%M}"
@@ -421,7 +421,7 @@ def _slow_steps(
     times: Mapping[str, CycleTimes],
     quick_s: Mapping[str, float],
 ) -> str:
-    """The steps that took most beyond what the quickest tenth needed, in words."""
+    """Text of the steps that exceeded the time of the quickest tenth most."""
     slower: dict[str, float] = dict.fromkeys(quick_s, 0.0)
     for cycle in cycles:
         for step, spent_s in times.get(cycle.uid, {}).get("step", {}).items():

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-#: After a failure the ledger is tried again so soon, s, then later and later.
+#: First delay before a retry after a failure, s; it grows.
 _FIRST_S, _LAST_S = 1.0, 30.0
-#: So long the end of a run waits for the ledger, s.
+#: Longest wait of the end of a run for the ledger, s.
 CLOSE_S = 10.0
 #: Entries that are written in one transaction.
 _TOGETHER = 100
@@ -50,35 +50,35 @@ class Outbox:
         while True:
             self._folder.mkdir(parents=True, exist_ok=True)
             number = 1 + max((_number(f) for f in self._files()), default=0)
-            # it may be there, of another cell that uses this folder; or the folder is gone, because
-            # somebody has just written the last that was in it
+            # the file may exist, from another cell that uses this folder; or the folder is gone,
+            # because another process has just written its last entry
             with suppress(FileExistsError, FileNotFoundError):
                 write_new(self._folder / f"{number:08d}-{os.getpid()}.json", content)
                 return
 
     def waiting(self, most: int) -> list[tuple[Path, LedgerEntry]]:
-        """The oldest entries, at most so many, and their files.
+        """The oldest entries, at most `most`, and their files.
 
-        One that cannot be read is put aside, as `.bad`.
+        An entry that cannot be read is renamed to `.bad`.
         """
-        found = []
+        entries = []
         for file in self._files()[:most]:
             try:
-                found.append((file, LedgerEntry.from_json(json.loads(file.read_text("utf-8")))))
+                entries.append((file, LedgerEntry.from_json(json.loads(file.read_text("utf-8")))))
             except FileNotFoundError:  # another cell has just written it
                 continue
             except (ValueError, KeyError, TypeError) as error:
                 _LOG.error("%s is no entry of a ledger: %s: it is put aside", file, error)
                 with suppress(OSError):
                     file.rename(file.with_suffix(".bad"))
-        return found
+        return entries
 
     def count(self) -> int:
         """Number of entries."""
         return len(self._files())
 
     def remove(self, file: Path) -> None:
-        """It was written; the folder goes with the last."""
+        """Remove a written entry, and the folder with the last one."""
         file.unlink(missing_ok=True)
         with suppress(OSError):
             self._folder.rmdir()
@@ -127,8 +127,8 @@ class LedgerWriter:
     """Hands entries to a ledger, in a thread of its own.
 
     ledger  is written to, and closed at the end
-    outbox  folder for what is not written yet
-    notes   what a person should know
+    outbox  folder of pending entries
+    notes   messages for a person
     """
 
     def __init__(self, ledger: WritesEntries, outbox: Path) -> None:
@@ -142,7 +142,7 @@ class LedgerWriter:
         self._thread = GuardedThread("ledger", self._run, self._died)
 
     def start(self) -> None:
-        """Begin, with what an earlier run has left."""
+        """Begin, with pending entries of an earlier run."""
         self._thread.start()
         self._wake.set()
 

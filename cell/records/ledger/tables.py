@@ -1,6 +1,6 @@
 """Tables of the ledger.  All times are UTC; all numbers are in SI units.
 
-What is changed here needs a new `HEAD`, and what `upgrade` adds to older ledgers.
+A change here needs a new `HEAD`, and an entry in `upgrade` for older ledgers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sqlalchemy import (
 HEAD = "0004"
 
 metadata = MetaData()
-#: The version that a ledger has, in the one row of a table of its own.
+#: Version of a ledger, in a table with one row.
 version = Table("alembic_version", MetaData(), Column("version_num", String(32), primary_key=True))
 
 #: Numbers of a `Result` that have a column of the same name.
@@ -49,7 +49,7 @@ NUMBERS = (
     "speed",
 )
 
-#: What was held by the jaws: a part may be tried more than once.
+#: Parts held by the jaws: a part may be tried more than once.
 parts = Table(
     "parts",
     metadata,
@@ -98,7 +98,7 @@ parameters = Table(
     Column("high", Float),
 )
 
-#: What has ended a cycle; `code` as `Fault.code`.
+#: Faults that ended a cycle; `code` as `Fault.code`.
 faults = Table(
     "faults",
     metadata,
@@ -111,7 +111,7 @@ faults = Table(
     Column("cable", Text, nullable=False),
 )
 
-#: A person's word that the fault of a cycle was looked at.
+#: Acknowledgements of faults by a person.
 acknowledgements = Table(
     "acknowledgements",
     metadata,
@@ -123,8 +123,8 @@ acknowledgements = Table(
 
 #: Longest name of a state, a step or a reason to wait, characters.
 LONGEST_NAME = 50
-#: Time spent in each state of the cell (PackML) and in each step; and waiting, by what for, since
-#: the cycle before.
+#: Time spent in each state of the cell (PackML) and in each step; and waiting, by reason, since
+#: the previous cycle.
 times = Table(
     "times",
     metadata,
@@ -134,7 +134,7 @@ times = Table(
     Column("seconds", Float, nullable=False),
 )
 
-#: What people have done at the pages; `place`: of the line in the log, `source`, that it is from.
+#: Actions of people at the pages; `place`: offset of the line in the log `source`.
 actions = Table(
     "actions",
     metadata,
@@ -157,7 +157,7 @@ def _add_products(connection: Connection) -> None:
     next(index for index in cycles.indexes if index.name == "by_product").create(connection)
 
 
-#: What each version has beyond the one before it.
+#: Changes of each version relative to its predecessor.
 _ADDED: Mapping[str, Callable[[Connection], None]] = {
     "0002": acknowledgements.create,
     "0003": _add_products,
@@ -165,17 +165,17 @@ _ADDED: Mapping[str, Callable[[Connection], None]] = {
 }
 
 
-def upgrade(connection: Connection, found: str | None) -> None:
-    """Make the tables of a new ledger, or add what one of an older version lacks.
+def upgrade(connection: Connection, current: str | None) -> None:
+    """Make the tables of a new ledger, or add missing columns of an older version.
 
-    found  its version; None = it is new
+    current  its version; None = it is new
     """
-    if found is None:
+    if current is None:
         metadata.create_all(connection)
         version.create(connection, checkfirst=True)
         connection.execute(insert(version).values(version_num=HEAD))
         return
     for number, add in _ADDED.items():
-        if number > found:
+        if number > current:
             add(connection)
     connection.execute(update(version).values(version_num=HEAD))

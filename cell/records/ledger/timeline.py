@@ -1,4 +1,4 @@
-"""Timeline of a line without gaps, from the ledger's cycles: what it did at every moment."""
+"""Timeline of a line without gaps, from the ledger's cycles: its activity at every moment."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from cell.records.ledger.entry import RUNNING
 from cell.records.ledger.ledger import ListedCycle
 from cell.records.result import Outcome
 
-#: After a cycle the program tidies up and makes the cell ready, for at most so long, s: a longer
-#: time of which nothing is listed is one in which it did not run.
+#: Longest time of the program's work between two cycles, s: in a longer time without entries it
+#: did not run.
 BETWEEN_S = 10.0
-#: The clock by which it is acknowledged and the one of waits agree to this, s.
+#: Agreement of the clocks of acknowledgements and of waits, s.
 _CLOCKS_S = 1.0
 _NUMBER = re.compile(r"[+\-−]?\d+(?:\.\d+)?")
 _ACKNOWLEDGEMENT, _RESET, _START = "acknowledgement", "reset", "start"
-#: What is waited for in states that have one reason, unless the wait of a suspended cell was given
-#: another.
+#: Wait reasons of states with a single reason, unless a suspended cell has a different one.
 _PAUSES = {
     **dict.fromkeys(("holding", "held", "unholding"), "unhold"),
     **dict.fromkeys(("suspending", "suspended", "unsuspending"), "unsuspend"),
@@ -37,7 +36,7 @@ class LossKind(StrEnum):
                            person has acknowledged it
     rejected, missed       actual production time (APT) of scrap (SQ)
     slower                 APT of good cables (GQ) beyond the planned run time per item (PRI), the
-                           ideal cycle; and what lies between two cycles
+                           ideal cycle; and the time between two cycles
     other                  cycles that were to insert nothing: measured, or a dry run
     unfinished             a cycle without a result: under way, or broken off
 
@@ -54,8 +53,8 @@ class LossKind(StrEnum):
     NOT_RUNNING = "not running"
 
 
-#: Kind and reason; None = the ideal cycle of an inserted cable.  A reason is what is waited for, a
-#: fault's code, or why a cable was put aside or missed, with its numbers as "…".
+#: Kind and reason; None = the ideal cycle of an inserted cable.  A reason is that of a wait, a
+#: fault's code, or why a cable was rejected or missed, with its numbers as "…".
 Cause = tuple[LossKind, str] | None
 #: Of a cycle, s: kind (state, step, waiting) → name, as of `Ledger.times`.
 CycleTimes = Mapping[str, Mapping[str, float]]
@@ -66,7 +65,7 @@ _UNKNOWN: CycleTimes = {}
 class Segment:
     """A time that has one cause.
 
-    cycle  that it belongs to, or before which it was waited; None = there is none yet
+    cycle  that it belongs to, or that the wait precedes; None = there is none yet
     """
 
     begin: datetime
@@ -86,7 +85,7 @@ def timeline(
 
     cycles     of one line, oldest first
     times      by their `uid`
-    waits_now  s since the last cycle, by what for
+    waits_now  s since the last cycle, by reason
     """
     previous: ListedCycle | None = None
     at = now
@@ -110,17 +109,17 @@ def timeline(
 
 
 def _parts(cycle: ListedCycle, of: CycleTimes, ideal_s: float) -> Iterator[tuple[Cause, float]]:
-    """Causes in a cycle's own time, and how long each lasted, s."""
+    """Causes within a cycle, and their durations, s."""
     if cycle.ended is None:
         yield (LossKind.UNFINISHED, ""), 1.0
         return
     lasted_s = max(0.0, (cycle.ended - cycle.started).total_seconds())
     spent = dict(of.get("state") or {"execute": lasted_s})
     yield (LossKind.WAITING, _START), spent.pop("idle", 0.0)
-    told = {name: s for name, s in of.get("waiting", {}).items() if name not in _NAMED and s > 0.0}
+    named = {name: s for name, s in of.get("waiting", {}).items() if name not in _NAMED and s > 0.0}
     for state, usual in _PAUSES.items():
         paused_s = spent.pop(state, 0.0)
-        reasons = told if told and usual == "unsuspend" else {usual: 1.0}
+        reasons = named if named and usual == "unsuspend" else {usual: 1.0}
         for reason, share in reasons.items():
             yield (LossKind.WAITING, reason), paused_s * share / sum(reasons.values())
     working_s = sum(s for state, s in spent.items() if state in RUNNING)
@@ -142,7 +141,7 @@ def _cause_of(cycle: ListedCycle) -> Cause:
 
 
 def _waited_before(of: CycleTimes) -> dict[str, float]:
-    """What was waited since the cycle before, and not within this one, s; empty = not known."""
+    """Waits between the previous cycle and this one, by reason, s; empty = not known."""
     waited, idle_s = of.get("waiting", {}), of.get("state", {}).get("idle", 0.0)
     if not waited:
         return {}
@@ -157,13 +156,13 @@ def _between(
     end: datetime,
     waited: Mapping[str, float],
 ) -> Iterator[Segment]:
-    """Causes of the time after a cycle; `waited` in it, s: empty = not known.
+    """Causes of the time after a cycle; `waited` during it, s: empty = not known.
 
     A fault stops the cell until it is acknowledged.
     """
-    fault, seen = previous.fault, previous.acknowledged
+    fault, ack = previous.fault, previous.acknowledged
     if fault is not None:
-        until = end if seen is None else min(max(seen.at, begin), end)
+        until = end if ack is None else min(max(ack.at, begin), end)
         yield Segment(begin, until, (LossKind.STOPPED, fault.code), previous)
         stopped_s = (until - begin).total_seconds()
         begin = until
@@ -172,16 +171,16 @@ def _between(
             waited = {**waited, _ACKNOWLEDGEMENT: more_s if more_s > _CLOCKS_S else 0.0}
         else:
             waited = {_RESET: (end - begin).total_seconds()}
-    left_s = (end - begin).total_seconds()
+    remaining_s = (end - begin).total_seconds()
     stop = LossKind.STOPPED, "unfinished" if previous.ended is None else "stop"
     parts: list[tuple[Cause, float]] = []
     for name, waited_s in waited.items():
-        taken_s = min(waited_s, left_s)
-        left_s -= taken_s
+        taken_s = min(waited_s, remaining_s)
+        remaining_s -= taken_s
         parts.append((stop if name == _ACKNOWLEDGEMENT else (LossKind.WAITING, name), taken_s))
-    short = left_s <= BETWEEN_S and (following is not None or bool(waited))
+    short = remaining_s <= BETWEEN_S and (following is not None or bool(waited))
     rest: Cause = (LossKind.SLOWER if short else LossKind.NOT_RUNNING), ""
-    yield from _split(begin, end, [(rest, left_s), *parts], following)
+    yield from _split(begin, end, [(rest, remaining_s), *parts], following)
 
 
 def _split(
@@ -190,7 +189,7 @@ def _split(
     parts: Iterable[tuple[Cause, float]],
     cycle: ListedCycle | None,
 ) -> Iterator[Segment]:
-    """A time, parted in proportion: simulated time may be quicker than the clock."""
+    """A time span divided in proportion: simulated time may be quicker than the clock."""
     known = [(cause, lasted_s) for cause, lasted_s in parts if lasted_s > 0.0]
     sums = list(itertools.accumulate(lasted_s for _, lasted_s in known))
     at = begin

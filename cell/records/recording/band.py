@@ -1,9 +1,9 @@
 """Reduces recorded frames to the pixels that vision reads, to save room on the disk.
 
-The band of a frame is the jaw's marks, the cable, and what has changed since it was shown last.
-Outside it a frame is blank, and a reader shows there what was shown before.  Whole are the first
-and the last frame of a film, every 150th, and each in which vision would find anything else
-than it finds in the whole frame: a replay stays the same to the last bit.
+The band of a frame is the jaw's marks, the cable, and all pixels that have changed.
+Outside it a frame is blank, and a reader shows the earlier picture there.  Full frames are the
+first and the last of a film, every 150th, and each for which the band would change the result of
+vision: a replay stays the same to the last bit.
 
     python -m cell.records.recording.band SOURCE TARGET COUNTS < pickled `VisionSetup`
 """
@@ -31,19 +31,19 @@ from cell.records.recording.reading import TornRecordingError, image_of, verify
 from cell.vision.detect import VisionOptions, detect
 from cell.vision.sighting import Sighting
 
-#: A band is made of squares so wide.
+#: Side of the squares of a band, px.
 TILE_PX = 4
-#: One frame of a film in so many is whole.
+#: Interval of full frames in a film.
 WHOLE_EVERY = 150
-#: A square has changed if its mean did by so many grey levels …
+#: Change of a square's mean that counts: at least so many grey levels …
 CHANGED_LEVELS = 4.0
-#: … and by so many standard deviations of the camera's noise.
+#: … and so many standard deviations of the camera's noise.
 CHANGED_STDS = 6.0
-#: Half of the band's width about the cable: what profiles of it reach, px …
+#: Half of the band's width about the cable: the reach of its profiles, px …
 _CABLE_PX = 9.0
 #: … or so many widths of its profile; and beyond its tip, px.
 _CABLE_WIDTHS, _TIP_PX = 6.0, 18.0
-#: Half of the squares about the jaw's marks, in their radii.
+#: Half of the regions about the jaw's marks, in their radii.
 _MARK_RADII = 1.7
 _WITH_NEIGHBOURS = np.ones((3, 3), np.uint8)
 #: Level of zstd: pictures that are blank but for a band compress in no time.
@@ -62,7 +62,7 @@ class VisionSetup:
 
 
 class FilmBand:
-    """Decides for each frame of a cycle's films, in order, which pixels are kept."""
+    """Selects for each frame of a cycle's films, in order, the pixels to be stored."""
 
     def __init__(self, setup: VisionSetup) -> None:
         self._setup = setup
@@ -72,7 +72,7 @@ class FilmBand:
         self._least_change = np.inf
 
     def keep(self, index: int, t_s: float, image: Image, *, last: bool) -> tuple[Image, int | None]:
-        """What is kept of a frame, (H, W), and the grey level that is blank; None = it is whole.
+        """Stored part of a frame, (H, W), and its blank grey level; None = the full frame.
 
         index  of the frame in its film
         last   whether it is the last one of its film
@@ -83,8 +83,8 @@ class FilmBand:
         if index == 1 and self._means is not None:
             self._least_change = _least_change(means - self._means)
         band = None
-        whole = last or index % WHOLE_EVERY == 0
-        if not whole and self._shown is not None and self._shown.shape == image.shape:
+        full = last or index % WHOLE_EVERY == 0
+        if not full and self._shown is not None and self._shown.shape == image.shape:
             band = self._band(image, means, sighting)
         if band is None:
             self._shown, self._means = image, means
@@ -94,7 +94,7 @@ class FilmBand:
     def _band(
         self, image: Image, means: FloatArray, sighting: Sighting
     ) -> tuple[Image, int] | None:
-        """The same for one that need not be whole; None = it must."""
+        """The same for a frame that may be reduced; None = it must be stored in full."""
         assert self._shown is not None and self._means is not None
         changed = (np.abs(means - self._means) > self._least_change).astype(np.uint8)
         tiles = cv2.dilate(changed, _WITH_NEIGHBOURS).astype(bool)  # an edge may touch the next one
@@ -104,15 +104,15 @@ class FilmBand:
         if levels.all():
             return None
         blank = int(np.argmin(levels > 0))
-        kept: Image = np.full_like(image, blank)
-        np.copyto(kept[within], image[within], where=mask)
+        stored: Image = np.full_like(image, blank)
+        np.copyto(stored[within], image[within], where=mask)
         shown = self._shown.copy()
         np.copyto(shown[within], image[within], where=mask)
         view, options = self._setup.view, self._setup.options
         if not _same(detect(shown, sighting.t_s, view, options, self._before), sighting):
             return None
         self._shown, self._means = shown, np.where(tiles, means, self._means)
-        return kept, blank
+        return stored, blank
 
 
 def tile_means(image: Image) -> FloatArray:
@@ -142,8 +142,8 @@ def read_tiles(sighting: Sighting, setup: VisionSetup, shape: tuple[int, ...]) -
         c, s = np.cos(sighting.clamp_angle_rad), np.sin(sighting.clamp_angle_rad)
         centres_m = np.array(marks.centres_m) @ np.array([[c, s], [-s, c]]) + sighting.grip_m
         centres_px = setup.view.to_pixels(centres_m)
-        beside_px = setup.view.to_pixels(centres_m + np.array([marks.radius_m, 0.0]))
-        half_px = _MARK_RADII * np.linalg.norm(beside_px - centres_px, axis=1)[:, None]
+        rim_px = setup.view.to_pixels(centres_m + np.array([marks.radius_m, 0.0]))
+        half_px = _MARK_RADII * np.linalg.norm(rim_px - centres_px, axis=1)[:, None]
         first = np.floor((centres_px - half_px) / TILE_PX).astype(int).clip(0)
         end = np.floor((centres_px + half_px) / TILE_PX).astype(int).clip(-1) + 1
         for (left, top), (right, bottom) in zip(first, end, strict=True):
@@ -152,13 +152,13 @@ def read_tiles(sighting: Sighting, setup: VisionSetup, shape: tuple[int, ...]) -
 
 
 def _least_change(difference: FloatArray) -> float:
-    """What a square's mean changes by if more than the camera's noise has changed it."""
+    """Least change of a square's mean that exceeds the camera's noise, grey levels."""
     std = 1.4826 * np.median(np.abs(difference - np.median(difference)))
     return float(max(CHANGED_LEVELS, CHANGED_STDS * std))
 
 
 def _pixels(tiles: Tiles, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
-    """The part of a picture (H, W) that has all the squares, and which of its pixels are theirs."""
+    """Bounding box of the squares in a picture (H, W), and the mask of their pixels in it."""
     spans = []
     for axis in (1, 0):
         used = np.flatnonzero(tiles.any(axis=axis))
@@ -183,7 +183,7 @@ def _values(s: Sighting) -> tuple[Any, ...]:
 class _BandCopy(RecordingCopy):
     """Copies a recording with bands in place of its frames.
 
-    Whether a frame is the last of its film is known when the next one comes: until then it waits.
+    A frame is held back until the next one shows whether it is the last of its film.
     """
 
     def __init__(self, path: Path, setup: VisionSetup) -> None:
@@ -193,38 +193,38 @@ class _BandCopy(RecordingCopy):
         self._image: bytes | None = None
 
     def log(self, topic: str, data: bytes, log_ns: int) -> None:
-        """Write a message, or what is kept of the frame before it."""
+        """Write a message, or the stored part of the frame before it."""
         if topic == form.FRAME:
-            said = json.loads(data)
-            self.finish_film(ended=said["index"] == 0)
-            self._waiting, self._image = (said, log_ns), None
+            frame = json.loads(data)
+            self.finish_film(ended=frame["index"] == 0)
+            self._waiting, self._image = (frame, log_ns), None
         elif topic == form.IMAGE and self._waiting is not None:
             self._image = data
         else:
             super().log(topic, data, log_ns)
 
     def finish_film(self, *, ended: bool) -> None:
-        """Write the frame that waits, which is the last of its film or is not."""
+        """Write the frame that was held back; `ended`: it is the last of its film."""
         if self._waiting is None:
             return
-        (said, log_ns), data, self._waiting = self._waiting, self._image, None
+        (frame, log_ns), data, self._waiting = self._waiting, self._image, None
         if data is not None:  # else the disk had no room for it
             image = image_of(data)
-            kept, blank = self._band.keep(said["index"], said["t_s"], image, last=ended)
+            stored, blank = self._band.keep(frame["index"], frame["t_s"], image, last=ended)
             if blank is not None:
-                said["blank"] = blank
+                frame["blank"] = blank
                 message = RawImage.FromString(data)
-                message.data = kept.tobytes()
+                message.data = stored.tobytes()
                 data = message.SerializeToString()
-        super().log(form.FRAME, json.dumps(said).encode(), log_ns)
+        super().log(form.FRAME, json.dumps(frame).encode(), log_ns)
         if data is not None:
             super().log(form.IMAGE, data, log_ns)
 
 
 def keep_band(source: Path, target: Path, setup: VisionSetup, counts: Mapping[str, int]) -> None:
-    """Copy a recording with bands in place of whole frames, and verify the copy.
+    """Copy a recording with bands in place of full frames, and verify the copy.
 
-    source  a complete recording with whole frames
+    source  a complete recording with full frames
     counts  messages that it has, by topic
     raises  TornRecordingError: it lacks something; OSError; FileExistsError: there is a target
     """

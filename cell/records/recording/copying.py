@@ -20,17 +20,17 @@ from cell.records.recording import form
 from cell.records.recording.reading import MAGIC, UNREADABLE
 from cell.records.recording.writer import LEVEL, Sink, open_mcap
 
-#: Of a chunk: its head; where the name of the compression begins; the most that one may hold.
+#: Of a chunk: size of its head; offset of the compression's name; largest content, bytes.
 _CHUNK_HEAD_BYTES, _NAME_AT, _MOST_OF_CHUNK = 53, 37, 256 * 2**20
 
 
 class RecordingCopy:
-    """The messages of one file, written to another as they are.
+    """A copy of a recording's messages, unchanged.
 
     counts     messages by topic that were written
     bad_bytes  of records that could not be read
     complete   whether a file was read to its end
-    closed     what was written at that end
+    closed     metadata from its end
     """
 
     def __init__(self, path: Path, level: int = LEVEL) -> None:
@@ -49,7 +49,7 @@ class RecordingCopy:
         self._writer = open_mcap(self.sink, self._context, level)
 
     def take_all(self, source: Path) -> int:
-        """Take every record that is whole; how far the file could be read, bytes."""
+        """Copy every complete record; returns how far the file could be read, bytes."""
         reached = len(MAGIC)
         self._topics.clear()  # every file has its own numbers
         for record, end in records_of(source):
@@ -70,7 +70,7 @@ class RecordingCopy:
         return reached
 
     def copy_partial_chunk(self, source: Path, at: int) -> None:
-        """Take the whole messages of a chunk that was not ended."""
+        """Copy the complete messages of an unfinished chunk."""
         with source.open("rb") as file:
             file.seek(at)
             rest = file.read(_MOST_OF_CHUNK)
@@ -84,12 +84,12 @@ class RecordingCopy:
         with suppress(ZstdError), ZstdDecompressor().stream_reader(packed) as stream:
             while block := stream.read(65536):
                 inside += block
-        for record in _whole_records(BytesIO(inside)):
+        for record in _complete_records(BytesIO(inside)):
             self._take(record)
 
-    def close(self, said: Mapping[str, str]) -> None:
-        """End the file with its index, and with what is said at its end.  Raises OSError."""
-        self._writer.write_metadata(form.CLOSED, dict(said))
+    def close(self, metadata: Mapping[str, str]) -> None:
+        """End the file with its index and final metadata.  Raises OSError."""
+        self._writer.write_metadata(form.CLOSED, dict(metadata))
         self._writer.close()
         if self.sink.refused is not None:
             raise self.sink.refused
@@ -149,11 +149,11 @@ def records_of(source: Path) -> Iterator[tuple[records.McapRecord, int]]:
     """Records of a file up to the first incomplete one, and where each ends."""
     with source.open("rb") as file:
         file.seek(len(MAGIC))
-        for record in _whole_records(file):
+        for record in _complete_records(file):
             yield record, file.tell()
 
 
-def _whole_records(file: IO[bytes]) -> Iterator[records.McapRecord]:
-    """Records from here on, up to one that is not all there."""
+def _complete_records(file: IO[bytes]) -> Iterator[records.McapRecord]:
+    """Records from here on, up to the first incomplete one."""
     with suppress(*UNREADABLE):
         yield from StreamReader(file, skip_magic=True, emit_chunks=True).records

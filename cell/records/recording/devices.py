@@ -20,16 +20,16 @@ from drivers.interfaces import (
     Trajectory,
 )
 
-#: So long before its last frame the recorder is told to pause, s: what it writes then is written.
+#: Time before the last frame when the recorder is told to pause, s: it finishes its writes by then.
 PAUSE_BEFORE_S = 0.03
 
 
 def recorded_devices(
     devices: Devices, recorder: Recorder, uploads: Uploads | None = None
 ) -> Devices:
-    """The given devices, whose commands and answers are recorded.
+    """Wrappers of devices that record their commands and answers.
 
-    uploads  is told whether a cable is in the jaws; None = nothing is uploaded
+    uploads  is notified whether a cable is in the jaws; None = nothing is uploaded
     """
     return replace(
         devices,
@@ -104,7 +104,7 @@ class RecordedCamera(CameraAround):
         return frame
 
     def stop(self) -> None:
-        """No more frames are needed: somebody computes what to do."""
+        """Stop the camera: no more frames are needed, the decision is computed."""
         self._camera.stop()
         self._recorder.pause()
 

@@ -25,11 +25,11 @@ from cell.records.recording import form
 from cell.records.recording.reading import UNREADABLE, damaged, image_of, shown_image
 from cell.records.recording.retention import KEPT
 
-#: Before a record: what it is, and its length.
+#: Head of a record: type and length.
 _HEAD_BYTES = 9
-#: The cable as it was seen is drawn in this colour, blue first.
+#: Colour of the detected cable, blue first.
 _SEEN = (255, 160, 0)
-#: So is the destination.
+#: Colour of the destination.
 _DESTINATION = (38, 38, 179)
 
 
@@ -37,8 +37,8 @@ _DESTINATION = (38, 38, 179)
 class RecordedFilm:
     """Index of the frames of a recording, in the order of their times.
 
-    stamps_ns  when each was taken, nanoseconds since 1970
-    destination_px  (4, 2) corners of the destination; none where the recording does not say them
+    stamps_ns  timestamp of each, nanoseconds since 1970
+    destination_px  (4, 2) corners of the destination; (0, 2) if the recording has none
     """
 
     path: Path
@@ -47,7 +47,7 @@ class RecordedFilm:
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Since the first frame."""
+        """Times since the first frame."""
         return tuple((s - self.stamps_ns[0]) * 1e-9 for s in self.stamps_ns)
 
 
@@ -73,16 +73,16 @@ def read_film(path: Path) -> RecordedFilm:
 
 
 def corners_of(begun: Mapping[str, Any] | None) -> NDArray[np.float64]:
-    """(4, 2) corners of the destination, px, in a cycle's first message; (0, 2) = not said."""
+    """(4, 2) corners of the destination, px, in a cycle's first message; (0, 2) = unknown."""
     return np.array((begun or {}).get("destination_px", ()), float).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class FilmFrame:
-    """A frame as it is shown.
+    """A frame with its overlay.
 
     image      (H, W) grey levels
-    points_px  (n, 2) column and row of the cable as it was seen; none if it was not
+    points_px  (n, 2) column and row of the detected cable; (0, 2) if it was not detected
     destination_px  (4, 2) its corners; none if not known
     """
 
@@ -92,9 +92,7 @@ class FilmFrame:
     destination_px: NDArray[np.float64] = field(repr=False)
 
     def jpeg(self, width_px: int) -> bytes:
-        """The frame with the destination and the cable as it was seen, as JPEG of at most this
-        width.
-        """
+        """The frame with the destination and the detected cable, as JPEG of at most this width."""
         picture = drawn(self.image, self.points_px, self.destination_px)
         scale = min(1.0, width_px / picture.shape[1])
         if scale < 1.0:
@@ -106,39 +104,39 @@ class FilmFrame:
 def read_frame(film: RecordedFilm, number: int, near: FilmFrame | None = None) -> FilmFrame:
     """A frame of a recording.
 
-    near    another frame of it, from which this one is found sooner if it is a little later
+    near    a frame of it, from which a slightly later one is computed faster
     raises  IndexError: there is no such frame; InputError: the recording cannot be read
     """
     if not 0 <= number < len(film.stamps_ns):
         raise IndexError(number)
     with _read_errors(film.path), film.path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        kept, blank, seen = _kept(reader, film.stamps_ns[number], form.SEEN)
-        later, at = [(kept, blank)], number
-        while blank is not None and at > 0:  # elsewhere it shows what was shown before
+        stored, blank, points = _stored_frame(reader, film.stamps_ns[number], form.SEEN)
+        later, at = [(stored, blank)], number
+        while blank is not None and at > 0:  # outside the band it shows the earlier picture
             at -= 1
             if near is not None and near.number == at:
                 later.append((near.image, None))
                 break
-            kept, blank, _ = _kept(reader, film.stamps_ns[at])
-            later.append((kept, blank))
+            stored, blank, _ = _stored_frame(reader, film.stamps_ns[at])
+            later.append((stored, blank))
         image: NDArray[np.uint8] | None = None
-        for kept, blank in reversed(later):
-            image = shown_image(image, kept, blank)
+        for stored, blank in reversed(later):
+            image = shown_image(image, stored, blank)
     assert image is not None
-    return FilmFrame(number, image, np.array(seen).reshape(-1, 2), film.destination_px)
+    return FilmFrame(number, image, np.array(points).reshape(-1, 2), film.destination_px)
 
 
-def _kept(
+def _stored_frame(
     reader: McapReader, stamp_ns: int, *also: str
 ) -> tuple[NDArray[np.uint8], int | None, Sequence[tuple[float, float]]]:
-    """A frame as it was kept, its blank grey level, and the cable as it was seen.
+    """A frame as it is stored, its blank grey level, and the detected cable.
 
-    also    topics of what else is wanted
+    also    further topics to read
     raises  ValueError: it is not in the file
     """
     image, blank = None, None
-    seen: list[tuple[float, float]] = []
+    points: list[tuple[float, float]] = []
     topics = form.IMAGE, form.FRAME, *also
     for _, channel, message in reader.iter_messages(
         topics, starting_at=stamp_ns, ending_at=stamp_ns
@@ -149,15 +147,15 @@ def _kept(
             blank = json.loads(message.data).get("blank")
         else:
             lines = ImageAnnotations.FromString(message.data).points
-            seen = [(p.x, p.y) for line in lines for p in line.points]
+            points = [(p.x, p.y) for line in lines for p in line.points]
     if image is None:
         raise ValueError(f"it has no frame of {stamp_ns} ns")
-    return image, blank, seen
+    return image, blank, points
 
 
 @contextmanager
 def _read_errors(path: Path) -> Iterator[None]:
-    """What the system or the file refuses, in words."""
+    """Turn errors of the system or the file into InputError."""
     try:
         yield
     except OSError as error:
@@ -173,7 +171,7 @@ def drawn(
 ) -> NDArray[np.uint8]:
     """(H, W, 3) picture, blue first: a frame (H, W) with destination and detected cable.
 
-    points_px       (n, 2) column and row of the cable; None = it was not seen
+    points_px       (n, 2) column and row of the cable; None = it was not detected
     destination_px  (4, 2) corners; (0, 2) = not known
     """
     picture = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_GRAY2BGR), np.uint8)
@@ -197,8 +195,8 @@ def why_no_film(folder: Path) -> str:
     if (folder / form.STORED).exists():
         return f"the recording is in the store; bring it back: cell fetch {folder}"
     if (folder / form.REMOVED).exists():
-        said = known_json(folder / form.REMOVED)
-        return f"the recording was removed on {said.get('at', '?')}: {said.get('why', '?')}"
+        removal = known_json(folder / form.REMOVED)
+        return f"the recording was removed on {removal.get('at', '?')}: {removal.get('why', '?')}"
     if _recording_of(folder) is None:
         return "nothing was recorded: the settings said `recording: null`"
     return (
@@ -207,16 +205,16 @@ def why_no_film(folder: Path) -> str:
     )
 
 
-def keep_recording(folder: Path, kept: bool) -> None:
-    """Mark a cycle's recording as kept for good, or no longer.  Raises OSError."""
-    if kept:
+def keep_recording(folder: Path, protected: bool) -> None:
+    """Set or clear the mark that protects a cycle's recording.  Raises OSError."""
+    if protected:
         write_atomic(folder / KEPT, "")
     else:
         (folder / KEPT).unlink(missing_ok=True)
 
 
 def is_protected(folder: Path) -> bool:
-    """Whether a cycle's recording is kept for good."""
+    """Whether a cycle's recording is marked as protected."""
     return (folder / KEPT).exists()
 
 

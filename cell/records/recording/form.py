@@ -1,21 +1,21 @@
 """Format of a recording: its topics, their schemas, and the encoding of times and angles.
 
-Frames, poses, log and overlay have the standard schemas of Foxglove, which viewers draw.  Beside
-them stand JSON messages with the same numbers unrounded, from which a replay computes.
+Frames, poses, log and overlay have the standard schemas of Foxglove, which viewers draw.  JSON
+messages hold the same numbers unrounded, from which a replay computes.
 
   /camera/image    RawImage          a frame, mono8; its exact time is in /camera/frame
-  /camera/frame    JSON              index, t_s; blank: where the frame has this grey level it shows
-                                     what was shown there before
-  /camera/seen     ImageAnnotations  the cable as it was seen
+  /camera/frame    JSON              index, t_s; blank: pixels of this grey level show the earlier
+                                     picture
+  /camera/seen     ImageAnnotations  the detected cable
   /arm/measured    PoseInFrame       at the arm's own rate, in the cell's plane
-  /arm/commanded   PoseInFrame       every path that the arm was told to follow
+  /arm/commanded   PoseInFrame       every commanded path of the arm
   /arm/path        JSON              the same path: start_s, t_s, x_m, y_m, angle_rad
-  /arm/answer      JSON              measured poses as the cell was told them when it asked
+  /arm/answer      JSON              measured poses as the arm reported them to the cell
   /arm/state       JSON              mode of the arm, when it changes
-  /gripper         JSON              what it was told, and what it said
+  /gripper         JSON              command and answer
   /cell/...        JSON              cycle, state, settings, decision, model, study, fault, result
   /recording/gap   JSON              frames that are missing here, and why
-  /log             Log               what the program said
+  /log             Log               log of the program
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ import math
 from typing import Any, Final
 
 FORMAT: Final = "cable-recording/1"
-#: Name of a metadata record at the beginning, and of the one that says that all was written.
+#: Name of a metadata record at the beginning, and of the one that marks a complete file.
 BEGUN, CLOSED = "cable-recording", "cable-recording-closed"
 
-#: Entry of the first: file in memory that holds what a killed recorder has not written.
+#: Entry of the first: file in memory with messages that a killed recorder has not written.
 RING = "ring"
 #: Entry of the second: bytes of the torn file that could not be recovered.
 DAMAGED_BYTES = "damaged_bytes"
-#: Entry of the first: what is added to times on the cell's clock, nanoseconds since 1970.
+#: Entry of the first: offset of the cell's clock, nanoseconds since 1970.
 EPOCH = "epoch_ns"
 
 #: File of a recording in its cycle's folder, and its name until it is complete.
 FILE, PART = "recording.mcap", "recording.mcap.part"
-#: The same recording with whole frames, while there is room for it.
+#: The same recording with full frames, while there is room for it.
 WHOLE = "recording.whole.mcap"
 #: A recording whose frames are being reduced to a band.
 BAND = "recording.mcap.band"
-#: File that says in which store the recording is.
+#: File with the place of the recording in a store.
 STORED = "recording.stored.json"
-#: File that says when a recording was removed, and why.
+#: File with the time and reason of a recording's removal.
 REMOVED = "recording.removed.json"
-#: A damaged recording, once what is whole in it has become `FILE`.
+#: A damaged recording, once its intact part has become `FILE`.
 TORN = "recording.mcap.torn"
-#: What was recovered from memory, until it is in the recovered file.
+#: Messages recovered from memory, until they are in the recovered file.
 REST = "recording.mcap.rest"
 
 #: Files of a cycle that hold frames.

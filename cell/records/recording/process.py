@@ -4,9 +4,9 @@
 
 The first three arguments are file descriptors: of the shared memory, of a pipe that wakes it and
 ends with the cell's process, and of a pipe for its reports, one JSON object per line.  PRIORITY is
-`idle`, to run only while nobody else wants the computer, or `normal`.  FILE is the shared memory's
-file, if it has one, which is removed at the end.  The process outlives the cell's until all that
-was put into the ring is in the file.
+`idle`, to run only while the processor is free, or `normal`.  FILE is the shared memory's file, if
+it has one, which is removed at the end.  The process outlives the cell's until the content of the
+ring is in the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cell.records.recording.writer import RecordingSession
 from drivers.threads import GuardedThread, error_text
 
 _NICE = 19
-#: Least time between two looks while others have the computer, s.
+#: Least polling interval while other processes use the computer, s.
 _LOOK_S = 0.001
 
 
@@ -47,9 +47,9 @@ class RingConsumer:
         while True:
             while self._ring.pause_until_s > time.monotonic() and not self._parent_ended:
                 self._sleep(_LOOK_S)
-            taken = self._ring.take()
-            if taken is not None:
-                self._act(*taken)
+            message = self._ring.take()
+            if message is not None:
+                self._act(*message)
                 if self._recording is not None:
                     self._recording.keep_up()
                 continue
@@ -69,19 +69,19 @@ class RingConsumer:
                 if self._recording is not None:
                     self._end(True, False)
                 self._recording = RecordingSession(Path(path), begun, vision=vision)
-            case ("end", keep, whole):
-                self._end(keep, True, whole)
+            case ("end", keep, full):
+                self._end(keep, True, full)
             case _ if self._recording is not None:
                 self._recording.write(header, payload)
 
-    def _end(self, keep: bool, complete: bool, whole: bool = False) -> None:
-        """Bring a recording to its end, beside the next one, which does not wait for that."""
+    def _end(self, keep: bool, complete: bool, full: bool = False) -> None:
+        """Finish a recording in a thread, so that the next one need not wait."""
         recording, self._recording = self._recording, None
         if recording is None:
             return
 
         def finish() -> None:
-            tell(recording.end(keep, complete, whole))
+            tell(recording.end(keep, complete, full))
 
         def torn(error: BaseException) -> None:
             tell({"path": str(recording.path), "error": error_text(error)})
@@ -95,7 +95,7 @@ class RingConsumer:
         self._ending[-1].start()
 
     def _sleep(self, seconds: float | None) -> None:
-        """Wait until there is more, or for so long."""
+        """Wait until there is more, or the time has passed."""
         if seconds is not None:
             time.sleep(seconds)
         elif not os.read(self._wake, 65536):

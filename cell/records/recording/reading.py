@@ -1,4 +1,4 @@
-"""Reads recordings: frames, poses, JSON messages; reports what is damaged in a file."""
+"""Reads recordings: frames, poses, JSON messages; reports damage of a file."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from cell.files.words import counted
 from cell.records.recording import form
 from drivers.interfaces import Frame, Trajectory
 
-#: How a file of MCAP begins.
+#: First bytes of an MCAP file.
 MAGIC = b"\x89MCAP0\r\n"
-#: Before a record: what it is, and its length.
+#: Head of a record: type and length.
 _HEAD = struct.Struct("<BQ")
-#: What readers raise for a file that is torn or is something else.
+#: Exceptions of readers for a torn file or another format.
 UNREADABLE = (
     McapError, CRCValidationError, ZstdError, ValueError, EOFError, MemoryError, LookupError,
     OverflowError, struct.error,
@@ -49,7 +49,7 @@ class TornRecordingError(Exception):
 def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int]:
     """Read a recording from its beginning to its end; number of messages by topic.
 
-    counts  what must be in it; None = what it says itself
+    counts  expected number of messages by topic; None = as its metadata state
     raises  TornRecordingError: it lacks something, or a checksum is wrong; OSError
     """
     try:
@@ -58,31 +58,31 @@ def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int
             summary = reader.get_summary()
             if summary is None or summary.statistics is None:
                 raise TornRecordingError(f"{path} has no index")
-            said = {
+            stated = {
                 summary.channels[number].topic: n
                 for number, n in summary.statistics.channel_message_counts.items()
             }
-            found: Counter[str] = Counter()
+            read: Counter[str] = Counter()
             for _, channel, _ in reader.iter_messages(log_time_order=False):
-                found[channel.topic] += 1
+                read[channel.topic] += 1
     except UNREADABLE as error:
         raise TornRecordingError(f"{path} {_why(error)}") from error
-    for expected in (said, counts or said):
-        missing = {t: (n, found[t]) for t, n in expected.items() if found[t] != n}
+    for expected in (stated, counts or stated):
+        missing = {t: (n, read[t]) for t, n in expected.items() if read[t] != n}
         if missing:
             topic, (wanted, there) = next(iter(missing.items()))
             raise TornRecordingError(f"{path} has {there} of {wanted} messages of {topic}")
-    return dict(found)
+    return dict(read)
 
 
 @dataclass(frozen=True)
 class Recording:
     """A recording that was opened by `read_recording`.
 
-    What is read from it raises InputError where it is damaged.
+    Reading a damaged part raises InputError.
 
-    started  what was written at its beginning: software version, host, cycle …
-    closed   what was written at its end
+    started  metadata from its beginning: software version, host, cycle …
+    closed   metadata from its end
     """
 
     path: Path
@@ -92,18 +92,18 @@ class Recording:
 
     @property
     def complete(self) -> bool:
-        """Whether the cycle came to its end while it was recorded."""
+        """Whether the cycle was recorded to its end."""
         return json.loads(self.closed.get("complete", "false")) is True
 
     def check(self) -> None:
-        """Read all of it.  Raises InputError: it is damaged."""
+        """Read the complete file.  Raises InputError: it is damaged."""
         try:
             verify(self.path)
         except TornRecordingError as error:
             raise damaged(self.path, error) from error
 
     def losses(self) -> tuple[str, ...]:
-        """What was measured and is not in it: left out while recording, or not recovered."""
+        """Measurements that are missing: dropped while recording, or not recovered."""
         gaps = [
             f"{counted(gap['frames'], 'frame is', 'frames are')} missing: {gap['cause']}"
             for gap in self.json(form.GAP)
@@ -134,27 +134,27 @@ class Recording:
             yield frame
 
     def detections(self) -> Iterator[tuple[Frame, np.ndarray | None]]:
-        """The same, with the cable as it was seen: (n, 2) column and row; None = it was not."""
-        seen = {}
+        """The same, with the detected cable: (n, 2) column and row; None = not detected."""
+        points_px = {}
         for log_time, data in self._messages(form.SEEN):
             points = [p for line in ImageAnnotations.FromString(data).points for p in line.points]
-            seen[log_time] = np.array([(p.x, p.y) for p in points]).reshape(-1, 2)
+            points_px[log_time] = np.array([(p.x, p.y) for p in points]).reshape(-1, 2)
         exact = {}
         for log_time, data in self._messages(form.FRAME):
-            said = json.loads(data)
-            exact[log_time] = (said["index"], said["t_s"], said.get("blank"))
+            frame = json.loads(data)
+            exact[log_time] = (frame["index"], frame["t_s"], frame.get("blank"))
         shown = None
         for log_time, data in self._messages(form.IMAGE):
             if log_time in exact:
                 index, t_s, blank = exact[log_time]
                 shown = shown_image(shown, image_of(data), blank)
-                yield Frame(index, t_s, shown), seen.get(log_time)
+                yield Frame(index, t_s, shown), points_px.get(log_time)
 
     def trajectories(self, topic: str) -> Iterator[tuple[dict[str, Any], Trajectory]]:
         """Messages of `/arm/path` or `/arm/answer` with their poses."""
-        for said in self.json(topic):
-            columns = (np.array(said[k], float) for k in ("t_s", "x_m", "y_m", "angle_rad"))
-            yield said, Trajectory(*columns)
+        for message in self.json(topic):
+            columns = (np.array(message[k], float) for k in ("t_s", "x_m", "y_m", "angle_rad"))
+            yield message, Trajectory(*columns)
 
     def _messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         try:
@@ -224,8 +224,8 @@ def read_recording(path: Path) -> Recording:
     if begun is None or summary is None or summary.statistics is None:
         raise InputError.at(path, "is an MCAP file, but no recording of `cell run`")
     if begun.get("format") != form.FORMAT:
-        found = begun.get("format")
-        raise InputError.at(path, f"format is {found!r}, not {form.FORMAT!r}; use that version")
+        name = begun.get("format")
+        raise InputError.at(path, f"format is {name!r}, not {form.FORMAT!r}; use that version")
     counts = {
         summary.channels[number].topic: n
         for number, n in summary.statistics.channel_message_counts.items()
@@ -250,7 +250,7 @@ def recording_in(folder: Path) -> Path:
 
 
 def image_of(data: bytes) -> np.ndarray:
-    """(H, W) grey levels of a message of `/camera/image`.  Raises ValueError: it is another."""
+    """(H, W) grey levels of a message of `/camera/image`.  Raises ValueError: it is not one."""
     message = RawImage.FromString(data)
     if message.encoding != "mono8" or message.step != message.width:
         raise ValueError(f"a frame is {message.encoding} with step {message.step}, not mono8")
@@ -260,11 +260,11 @@ def image_of(data: bytes) -> np.ndarray:
 def shown_image(
     before: NDArray[np.uint8] | None, image: NDArray[np.uint8], blank: int | None
 ) -> NDArray[np.uint8]:
-    """(H, W) grey levels of a frame of which only a band is stored.
+    """(H, W) grey levels of a frame that is stored as a band.
 
-    before  what was shown before it; None = nothing
-    image   as kept
-    blank   grey level of what shows the same as before; None = the image is whole
+    before  the frame before it; None = there is none
+    image   as stored
+    blank   grey level of pixels that are as before; None = the image is complete
     """
     if blank is None or before is None or before.shape != image.shape:
         return image
@@ -283,7 +283,7 @@ class GrowingRecording:
     def newest(self) -> tuple[float, NDArray[np.uint8]] | None:
         """The newest frame, grey levels, and its age when the file was last written, s.
 
-        The age is on the cell's clock.  None = no newer frame came.
+        The age is on the cell's clock.  None = no newer frame.
         raises  OSError: the file has gone
         """
         new: list[int] = []
@@ -307,8 +307,8 @@ class GrowingRecording:
                     continue
                 last_ns = max(last_ns, chunk.message_end_time)
                 for message in reversed(records):
-                    if isinstance(message, Message) and (found := _frame(message)) is not None:
-                        return (last_ns - message.log_time) * 1e-9, found
+                    if isinstance(message, Message) and (image := _frame(message)) is not None:
+                        return (last_ns - message.log_time) * 1e-9, image
         return None
 
 

@@ -1,6 +1,6 @@
 """The cell's side of a recording: passes messages to the recorder's process without waiting.
 
-Nothing here raises because of a recording: a cell goes on without one, and says so.
+Nothing here raises because of a recording: a cell continues without one, with a message.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ if TYPE_CHECKING:  # it brings the compiler
 
 _LOG = logging.getLogger(__name__)
 
-#: Priorities of the process.  With `IDLE` it runs only while nobody else wants the computer.
+#: Priorities of the process.  With `IDLE` it runs only while the processor is free.
 IDLE, NORMAL = "idle", "normal"
 _PROCESS = "cell.records.recording.process"
 
-#: Measured poses are taken from the arm so often, s.
+#: Interval at which measured poses are read from the arm, s.
 POSES_EVERY_S = 0.02
-#: After the last frame the computer is left to whoever decides, for at most so long, s.
+#: Longest pause of the recorder after the last frame, while the decision is computed, s.
 PAUSE_S = 0.25
-#: Frames that wait at the end of a run are written for so long, s, before it ends without them.
+#: Longest time to write pending frames at the end of a run, s; then it ends without them.
 LAST_WAIT_S = 60.0
 
 
 class Recorder:
-    """Records cycles, one file each, through a process of its own that begins with the first.
+    """Records cycles, one file each, through a separate process that starts with the first.
 
-    arm           poses are taken from it while a cycle is recorded
+    arm           source of poses while a cycle is recorded
     clock         of the cell
-    patience_s    a frame may wait so long for room: in simulated time nobody waits for it.  With
-                  0 the cell runs in real time, and the process leaves the computer to it
+    patience_s    how long a frame may wait for room, as in simulated time; with 0 the cell runs in
+                  real time, and the process has a low priority
     memory_bytes  of frames that wait to be written; more are left out, and the gap is marked
     """
 
@@ -117,7 +117,7 @@ class Recorder:
     ) -> None:
         """Begin a recording at `path`.
 
-        vision  how its frames are looked at: of them a band is kept; None = they are kept whole
+        vision  setup of vision, to store bands of the frames; None = full frames are stored
         """
         try:
             self.prepare()
@@ -129,9 +129,9 @@ class Recorder:
         epoch_ns = time.time_ns() - round(now_s * 1e9)
         self._lost_frames, self._full = [], False
         self._under_way = True
-        said = {form.EPOCH: str(epoch_ns), form.RING: str(self._file or ""), **begun}
-        looked = None if vision is None else pickle.dumps(vision)  # the process need not know it
-        self._put(("begin", str(path.absolute()), said, looked))
+        metadata = {form.EPOCH: str(epoch_ns), form.RING: str(self._file or ""), **begun}
+        pickled = None if vision is None else pickle.dumps(vision)  # the process need not know it
+        self._put(("begin", str(path.absolute()), metadata, pickled))
         self._waiting += 1
         for logger in _LOGGERS:
             logging.getLogger(logger).addHandler(self._handler)
@@ -139,9 +139,9 @@ class Recorder:
         self._stream.start()
 
     def end(self, keep: bool = True, whole: bool = False) -> None:
-        """Nothing more comes; the file is closed, verified and kept, or removed, meanwhile.
+        """End the recording; the file is closed, verified and kept, or removed, in the background.
 
-        whole  whether its frames are kept whole too
+        whole  whether full frames are stored too
         """
         if self._stream is not None:
             self._stream.end()
@@ -156,7 +156,7 @@ class Recorder:
         self._under_way = False
 
     def wait(self, timeout_s: float = LAST_WAIT_S) -> bool:
-        """Wait until all recordings that have ended are files; whether they are."""
+        """Wait until all recordings that have ended are files; returns whether they are."""
         end_s = time.monotonic() + timeout_s
         self.resume()
         while self._waiting and self._process is not None and time.monotonic() < end_s:
@@ -168,7 +168,7 @@ class Recorder:
         return not self._waiting
 
     def close(self) -> None:
-        """Wait for what is not written yet, and end the process."""
+        """Wait for pending writes, and end the process."""
         self.end()
         if self._process is None:
             return
@@ -176,7 +176,7 @@ class Recorder:
             self.note("a recording was not finished in time; `cell recover` makes it readable")
         self.forget()
 
-    # --- what is recorded -------------------------------------------------------------------------
+    # --- messages ---------------------------------------------------------------------------------
 
     def frame(self, frame: Frame) -> None:
         """A frame as it was read."""
@@ -198,11 +198,11 @@ class Recorder:
             self._put(("poses", topic, np.stack(columns, axis=-1)))
 
     def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
-        """The cable as it was seen in frames: (n, points, 2) column and row, nan = not seen."""
+        """The detected cable in frames: (n, points, 2) column and row, nan = not detected."""
         self._put(("seen", tuple(t_s), points_px))
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
-        """A message of a JSON topic, of now."""
+        """A message of a JSON topic, with the current time."""
         self._put(("event", topic, self._clock.now_s(), data))
 
     def now_s(self) -> float:
@@ -211,21 +211,21 @@ class Recorder:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that the recorder's process has not taken over yet; it writes them after that."""
+        """Bytes that the recorder's process has not read from the ring yet."""
         return 0 if self._ring is None else self._ring.waiting_bytes
 
     @property
     def process_id(self) -> int | None:
-        """Of the process that writes; None = it was not started."""
+        """Id of the process that writes; None = it was not started."""
         return None if self._process is None else self._process.pid
 
     def pause(self) -> None:
-        """The last frame was read: somebody computes what to do, and needs the computer."""
+        """Pause after the last frame: the decision is computed, and needs the processor."""
         if self._ring is not None:
             self._ring.pause(time.monotonic() + PAUSE_S)
 
     def resume(self) -> None:
-        """The decision was made."""
+        """Resume after the decision."""
         if self._ring is not None:
             self._ring.pause(0.0)
 
@@ -290,12 +290,12 @@ class Recorder:
             self.note(f"{path}: all of its frames are kept whole: {why}")
 
     def note(self, note: str) -> None:
-        """Tell in the log, and keep for the end of the run, what a person should know."""
+        """Log a message for a person, and keep it for the end of the run."""
         _LOG.warning("recording: %s", note)
         self.notes.append(note)
 
     def forget(self) -> None:
-        """Let the process write what it was given, and end."""
+        """Let the process write its pending messages, and end."""
         for descriptor in (self._wake, self._status):
             with suppress(OSError):
                 os.close(descriptor)
@@ -314,7 +314,7 @@ _LOGGERS = ("cell", "drivers", "calib")
 
 
 class _Handler(logging.Handler):
-    """Hands lines of the log to the recorder, but not what it says itself."""
+    """Passes lines of the log to the recorder, except its own."""
 
     def __init__(self, recorder: Recorder) -> None:
         super().__init__(logging.INFO)
@@ -327,7 +327,7 @@ class _Handler(logging.Handler):
 
 
 class _PoseStream(GuardedThread):
-    """Takes measured poses from the arm as they come, until `end`."""
+    """Reads measured poses from the arm continuously, until `end`."""
 
     def __init__(self, recorder: Recorder, arm: Arm, begin_s: float) -> None:
         super().__init__("poses", self._take_all, self._died)
@@ -342,7 +342,7 @@ class _PoseStream(GuardedThread):
         self._take()
 
     def end(self) -> None:
-        """Take what is there, and no more."""
+        """Read the remaining poses, and stop."""
         self._over.set()
         self.join()
 

@@ -1,4 +1,4 @@
-"""Makes a readable recording of a torn one, and says what is missing."""
+"""Recovers a readable recording from a torn one, and reports what is missing."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from cell.records.recording.writer import RecordingSession
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was recovered of a recording.
+    """Result of the recovery of a recording.
 
     messages      number by topic, in the file that was written
     frames_s, poses_s   time of the last frame and of the last measured pose, s after the first
                         message; None = there is none
-    read_bytes    of the torn file, up to where its records are whole; of what is behind that the
-                  whole messages were taken too
-    damaged_bytes   of records before that which could not be read
+    read_bytes    of the torn file, up to the end of its complete records; complete messages behind
+                  that are copied too
+    damaged_bytes   of earlier records that could not be read
     """
 
     source: Path
@@ -52,10 +52,10 @@ class Recovered:
 
 
 def torn_recordings(place: Path) -> list[Path]:
-    """Torn recordings in a folder and below it, and a file that lacks anything or is damaged.
+    """Torn recordings in a folder and below it; of a file itself, if incomplete or damaged.
 
-    Recordings that are being written now are left out.  In a folder damage in the middle of a
-    recording is not looked for: that would read all of them.
+    Recordings that are being written are skipped.  In a folder, damage in the middle of a
+    recording is not detected: that would need to read all of them.
     raises  InputError: there is no such place
     """
     if place.is_file():
@@ -88,15 +88,15 @@ def recover_in_place(source: Path, target: Path | None = None) -> Recovered:
     target  None = `recording.mcap` in a cycle's folder, else the name with `.recovered.mcap`
     raises  as `recover`
     """
-    beside = source.with_name(f"{source.stem}.recovered.mcap")
+    sibling = source.with_name(f"{source.stem}.recovered.mcap")
     if target is not None or source.name not in (form.PART, form.FILE):
-        return recover(source, target or beside)
+        return recover(source, target or sibling)
     file = source.with_name(form.FILE)
-    recovered = recover(source, beside if source == file else file)
+    recovered = recover(source, sibling if source == file else file)
     if recovered.damaged_bytes:
-        kept = source.with_name(form.TORN)
-        os.link(source, kept)  # never over another file
-        recovered = replace(recovered, source=kept)
+        torn = source.with_name(form.TORN)
+        os.link(source, torn)  # never over another file
+        recovered = replace(recovered, source=torn)
     if source == file:
         recovered.file.replace(file)
         return replace(recovered, file=file)
@@ -113,9 +113,9 @@ def being_written(part: Path) -> bool:
 
 
 def recover(source: Path, target: Path) -> Recovered:
-    """Write what can be read of `source` to `target`, and verify that.
+    """Write the readable part of `source` to `target`, and verify it.
 
-    The source stays as it is.  Chunks whose checksum is wrong are left out.
+    The source is not changed.  Chunks with a wrong checksum are skipped.
     raises  InputError: there is nothing to recover; OSError: it cannot be written; FileExistsError
     """
     try:
@@ -131,7 +131,7 @@ def recover(source: Path, target: Path) -> Recovered:
                 copy.copy_partial_chunk(source, reached)
                 if (rest := _remaining_in_ring(source)) is not None:
                     copy.take_all(rest)
-            copy.close(_said_at_end(copy))
+            copy.close(_closing_metadata(copy))
         except RuntimeError as error:  # of the writing library, which drops the cause
             if (why := copy.sink.refused) is None:
                 raise
@@ -159,34 +159,34 @@ def recover(source: Path, target: Path) -> Recovered:
     )
 
 
-def _said_at_end(copy: RecordingCopy) -> dict[str, str]:
-    said = copy.closed or {"complete": "false"}
+def _closing_metadata(copy: RecordingCopy) -> dict[str, str]:
+    metadata = copy.closed or {"complete": "false"}
     lost = {form.DAMAGED_BYTES: str(copy.bad_bytes)} if copy.bad_bytes else {}
-    return said | {"recovered": "true", "counts": json.dumps(dict(copy.counts))} | lost
+    return metadata | {"recovered": "true", "counts": json.dumps(dict(copy.counts))} | lost
 
 
 def _remaining_in_ring(source: Path) -> Path | None:
-    """What the recorder of a torn recording was given and has not written, as a file beside it.
+    """Messages of a torn recording that are in its recorder's ring only, as a file next to it.
 
-    It belongs to the recording that was begun last.  One that was begun in that memory and not on
-    the disk becomes a file of its own.
+    They belong to the recording that was begun last.  A recording that was begun in that memory
+    and not on the disk becomes a file of its own.
     """
     rest = source.with_name(form.REST)
     begun = _begun(source)
     ring = Path(begun.get(form.RING) or "/nowhere")
-    if not ring.exists() or being_written(ring) or _is_another_later(source, begun):
+    if not ring.exists() or being_written(ring) or _has_later(source, begun):
         return rest if rest.exists() else None
     descriptor = os.open(ring, os.O_RDWR)
     try:
         reader = RingReader(descriptor)
         begins_at = reader.position
-        reports = _write_what_waits(reader, rest, begun)
+        reports = _write_ring(reader, rest, begun)
         if refused := next((r for r in reports if not _is_complete(r)), None):
             reader.position = begins_at  # it stays in memory, for the next try
-            for one in (Path(r["path"]) for r in reports):
-                one.unlink(missing_ok=True)
-                if one != rest:
-                    one.with_name(form.PART).unlink(missing_ok=True)
+            for recording in (Path(r["path"]) for r in reports):
+                recording.unlink(missing_ok=True)
+                if recording != rest:
+                    recording.with_name(form.PART).unlink(missing_ok=True)
             why = refused.get("error") or refused["cause"]
             raise OSError(errno.ENOSPC, f"the rest, still in memory, cannot be written: {why}")
     finally:
@@ -195,50 +195,48 @@ def _remaining_in_ring(source: Path) -> Path | None:
     return rest
 
 
-def _is_another_later(source: Path, begun: Mapping[str, str]) -> bool:
-    """Whether another torn recording of the same recorder was begun later."""
+def _has_later(source: Path, begun: Mapping[str, str]) -> bool:
+    """Whether a torn recording of the same recorder was begun later."""
     others = (_begun(p) for p in source.parent.parent.glob(f"*/{form.PART}") if p != source)
-    of_same = [other for other in others if other.get(form.RING) == begun.get(form.RING)]
-    return any(_started_s(other) > _started_s(begun) for other in of_same)
+    of_same = [torn for torn in others if torn.get(form.RING) == begun.get(form.RING)]
+    return any(_started_s(torn) > _started_s(begun) for torn in of_same)
 
 
 def _started_s(begun: Mapping[str, str]) -> float:
-    """When a recording was begun, s since 1970; 0 = it does not say that."""
-    said = begun.get("started")
-    return datetime.fromisoformat(said).timestamp() if said else 0.0
+    """When a recording was begun, s since 1970; 0 = not known."""
+    text = begun.get("started")
+    return datetime.fromisoformat(text).timestamp() if text else 0.0
 
 
 def _is_complete(report: Mapping[str, Any]) -> bool:
     return "error" not in report and not report["lost_frames"] and not report["lost_messages"]
 
 
-def _write_what_waits(
-    reader: RingReader, rest: Path, begun: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """Write what is in a ring to files; what is reported of each.
+def _write_ring(reader: RingReader, rest: Path, begun: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Write the content of a ring to files; the report of each.
 
-    rest, begun  of the recording to which the first of it belongs
+    rest, begun  of the recording to which its first messages belong
     """
     rest.unlink(missing_ok=True)  # of a try that failed
     recording: RecordingSession | None = RecordingSession(rest, begun, part=rest)
     ended: list[RecordingSession] = []
-    while (taken := reader.take()) is not None:
-        header, payload = taken
+    while (message := reader.take()) is not None:
+        header, payload = message
         match header:
-            case ("begin", path, said, *_):
+            case ("begin", path, metadata, *_):
                 ended += [recording] if recording else []
                 Path(path).with_name(form.PART).unlink(missing_ok=True)
-                recording = RecordingSession(Path(path), said)
+                recording = RecordingSession(Path(path), metadata)
             case ("end", *_):
                 ended += [recording] if recording else []
                 recording = None
             case _ if recording is not None:
                 recording.write(header, payload)
-    return [one.end(True, False) for one in ended + ([recording] if recording else [])]
+    return [session.end(True, False) for session in ended + ([recording] if recording else [])]
 
 
 def _begun(source: Path) -> dict[str, str]:
-    """What a recording says at its beginning."""
+    """Metadata from the beginning of a recording."""
     for record, _ in records_of(source):
         if isinstance(record, records.Metadata) and record.name == form.BEGUN:
             return dict(record.metadata)

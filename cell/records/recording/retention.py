@@ -1,7 +1,7 @@
-"""Removes recordings to make room for new ones; never one that is marked as kept.
+"""Removes recordings to make room for new ones, except those that are marked as protected.
 
-At first go the whole frames of which a band is kept as well, then the oldest recordings of inserted
-cables, and last those that somebody will ask for (`LastRemoved`).
+First go full frames that are also stored as bands, then the oldest recordings of inserted cables,
+and last those that are likely to be needed (`LastRemoved`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cell.settings.records import RecordingSettings
 
 _LOG = logging.getLogger(__name__)
 
-#: A file of this name in a cycle's folder keeps its recording, whatever is in the file.
+#: A file of this name in a cycle's folder protects its recording; its content is ignored.
 KEPT = "keep"
 _DAY_S = 86_400.0
 _NAMES = form.WHOLE, form.FILE
@@ -35,7 +35,7 @@ _NAMES = form.WHOLE, form.FILE
 
 @dataclass(frozen=True)
 class DiskRoom:
-    """What recordings may take up; None = no limit.
+    """Limits of the recordings' size and age; None = no limit.
 
     max_age_s       older recordings are removed
     max_bytes       of all recordings of a folder
@@ -48,7 +48,7 @@ class DiskRoom:
 
     @classmethod
     def of(cls, wanted: RecordingSettings) -> DiskRoom:
-        """As the settings say."""
+        """Limits of the settings."""
         days, size_gb = wanted.max_age_days, wanted.max_size_gb
         return cls(
             None if days is None else days * _DAY_S,
@@ -59,7 +59,7 @@ class DiskRoom:
 
 @dataclass(frozen=True)
 class LastRemoved:
-    """Recordings that are removed after all others, whatever the outcome of their cycle.
+    """Recordings that are removed after all others, for any outcome of their cycle.
 
     every   cycles whose number is a multiple of it; 0 = none
     shifts  the first cycle of each shift; these are when they begin, local time
@@ -70,7 +70,7 @@ class LastRemoved:
 
 
 class _Rank(IntEnum):
-    """What is removed first."""
+    """Order of removal."""
 
     WHOLE_FRAMES = 0
     USUAL = 1
@@ -92,7 +92,7 @@ class _Known:
 class Retention:
     """Removes recordings of a folder until the others fit into their room.
 
-    The folder is listed once; what is recorded afterwards is known.
+    The folder is listed once; later recordings are added to this list.
     """
 
     def __init__(
@@ -115,23 +115,23 @@ class Retention:
     def make_room(self) -> str:
         """Remove the oldest recordings as far as needed; why there is no room, or "".
 
-        Called between cycles.  A recording that cannot be removed is left out of account.
+        Called between cycles.  A recording that cannot be removed is ignored.
         """
-        known = self._listed()
-        for one in [k for k in known if not k.path.exists()]:  # removed by somebody else
-            known.remove(one)
+        known = self._list_all()
+        for recording in [k for k in known if not k.path.exists()]:  # removed by somebody else
+            known.remove(recording)
         total = sum(k.bytes for k in known)
-        for one in sorted(known, key=lambda k: k.order):
-            why = self._too_old(one) or self._too_much(total)
-            if not why or not self._removable(one):
+        for recording in sorted(known, key=lambda k: k.order):
+            why = self._too_old(recording) or self._too_much(total)
+            if not why or not self._removable(recording):
                 continue
-            known.remove(one)
-            total -= one.bytes
+            known.remove(recording)
+            total -= recording.bytes
             try:
-                self._remove(one, why)
-                _LOG.info("%s is removed: %s", one.path, why)
+                self._remove(recording, why)
+                _LOG.info("%s is removed: %s", recording.path, why)
             except OSError as error:
-                _LOG.warning("%s cannot be removed: %s", one.path, error.strerror)
+                _LOG.warning("%s cannot be removed: %s", recording.path, error.strerror)
         free = free_bytes(self._runs)
         if free < self._room.min_free_bytes:
             return (
@@ -142,40 +142,40 @@ class Retention:
         return ""
 
     def add(self, path: Path) -> None:
-        """A recording was ended: it becomes a file soon, if it is kept."""
+        """Register a recording that has ended: it becomes a file soon, unless it is discarded."""
         self._ended.append(path)
 
-    def _removable(self, one: _Known) -> bool:
-        folder = one.path.parent
+    def _removable(self, recording: _Known) -> bool:
+        folder = recording.path.parent
         stored = not self._only_stored or (folder / form.STORED).exists()
-        again = one.rank is _Rank.WHOLE_FRAMES
+        again = recording.rank is _Rank.WHOLE_FRAMES
         return (stored or again) and not (folder / KEPT).exists()
 
-    def _remove(self, one: _Known, why: str) -> None:
-        if one.rank is _Rank.WHOLE_FRAMES:  # the recording is there still
-            one.path.unlink(missing_ok=True)
+    def _remove(self, recording: _Known, why: str) -> None:
+        if recording.rank is _Rank.WHOLE_FRAMES:  # the recording is there still
+            recording.path.unlink(missing_ok=True)
         else:
-            remove_recording(one.path, why)
+            remove_recording(recording.path, why)
 
-    def _listed(self) -> list[_Known]:
+    def _list_all(self) -> list[_Known]:
         if self._known is None:
             there = self._runs.is_dir()
             paths = (p for name in _NAMES for p in self._runs.glob(f"*/{name}")) if there else ()
-            self._known = [k for path in sorted(paths, key=_looked_up) for k in self._ranked(path)]
+            self._known = [k for path in sorted(paths, key=_status_of) for k in self._rank(path)]
             return self._known
         unfinished = []
         for path in self._ended:
-            begun = path.with_name(form.PART).exists()  # asked first: it gets its name meanwhile
-            found = [k for name in _NAMES for k in self._ranked(path.with_name(name))]
-            self._known += found
-            if not found and begun:
+            begun = path.with_name(form.PART).exists()  # checked first: it is renamed meanwhile
+            ranked = [k for name in _NAMES for k in self._rank(path.with_name(name))]
+            self._known += ranked
+            if not ranked and begun:
                 unfinished.append(path)
         self._ended = unfinished
         return self._known
 
-    def _ranked(self, path: Path) -> list[_Known]:
-        """A recording; nothing if it is not there, or not there any more."""
-        written_s, size = _looked_up(path)
+    def _rank(self, path: Path) -> list[_Known]:
+        """A recording with its rank; empty if it does not exist."""
+        written_s, size = _status_of(path)
         if not written_s:
             return []
         if path.name == form.WHOLE:
@@ -198,15 +198,15 @@ class Retention:
         sample = self._last.every > 0 and cycle % self._last.every == 0
         return first or sample or not _is_inserted(folder)
 
-    def _too_old(self, one: _Known) -> str:
-        """Why a recording has to go, as old as it is; "" = it may stay."""
-        age_s = time.time() - one.written_s
+    def _too_old(self, recording: _Known) -> str:
+        """Why a recording must be removed for its age; "" = it may stay."""
+        age_s = time.time() - recording.written_s
         if self._room.max_age_s is not None and age_s > self._room.max_age_s:
             return f"it is {age_s / _DAY_S:.1f} days old"
         return ""
 
     def _too_much(self, total_bytes: int) -> str:
-        """Why there must be fewer recordings; "" = there is room for all."""
+        """Why recordings must be removed for their size; "" = there is room for all."""
         room = self._room
         if room.max_bytes is not None and total_bytes > room.max_bytes:
             return f"recordings take {total_bytes / 1e9:.1f} GB"
@@ -214,21 +214,21 @@ class Retention:
         return f"{free / 1e9:.1f} GB are free" if free < room.min_free_bytes else ""
 
 
-#: Frames of a usual cycle, and bytes that are kept of a pixel: of a band, and of whole frames.
+#: Frames of a usual cycle, and stored bytes per pixel: of a band, and of full frames.
 _FRAMES, _OF_BAND, _OF_WHOLE = 550, 0.025, 0.63
-#: A cycle's time where none has been, s.
+#: Default time of a cycle, s.
 _CYCLE_S = 10.0
-#: The size of so many recordings, the newest, tells that of the next.
+#: Number of the newest recordings from which the size of the next is estimated.
 _NEWEST = 20
 
 
 @dataclass(frozen=True)
 class RecordingRoom:
-    """Number of recordings that fit, and what it is computed from.
+    """Number of recordings that fit, and its inputs.
 
-    cycle_bytes  of one recording: the mean of the newest ones, else what is usual
+    cycle_bytes  of one recording: the mean of the newest ones, else a default
     cycle_s      time of one cycle: the median of the newest ones, else 10 s
-    bytes        that recordings may take up, limit and disk regarded
+    bytes        available to recordings, by limit and disk
     limit_bytes  the same by the settings alone; None = no limit
     """
 
@@ -244,7 +244,7 @@ class RecordingRoom:
 
     @property
     def hours(self) -> float:
-        """For so long of uninterrupted work."""
+        """Hours of uninterrupted work that fit."""
         return self.cycles * self.cycle_s / 3600.0
 
     def __str__(self) -> str:
@@ -259,13 +259,13 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
 
     pixels  of a frame
     """
-    files = sorted(runs.glob(f"*/{form.FILE}"), key=_looked_up)[-_NEWEST:] if runs.is_dir() else []
-    sizes = [size for path in files if (size := _looked_up(path)[1])]
+    files = sorted(runs.glob(f"*/{form.FILE}"), key=_status_of)[-_NEWEST:] if runs.is_dir() else []
+    sizes = [size for path in files if (size := _status_of(path)[1])]
     usual = _FRAMES * pixels * (_OF_WHOLE if wanted.whole_frames else _OF_BAND)
     times = [s for path in files if (s := _cycle_s(path.parent)) is not None]
-    taken = sum(_looked_up(path)[1] for name in _NAMES for path in runs.glob(f"*/{name}"))
+    used = sum(_status_of(path)[1] for name in _NAMES for path in runs.glob(f"*/{name}"))
     room = DiskRoom.of(wanted)
-    on_disk = max(0.0, free_bytes(runs) + taken - room.min_free_bytes)
+    on_disk = max(0.0, free_bytes(runs) + used - room.min_free_bytes)
     return RecordingRoom(
         sum(sizes) / len(sizes) if sizes else usual,
         statistics.median(times) if times else _CYCLE_S,
@@ -275,7 +275,7 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
 
 
 def _cycle_s(folder: Path) -> float | None:
-    """Time that a cycle took, by its result; None = it is not known."""
+    """Duration of a cycle, by its result; None = it is not known."""
     try:
         return float(sum(known_json(folder / "result.json")["seconds"].values()))
     except (KeyError, TypeError, AttributeError):
@@ -283,27 +283,27 @@ def _cycle_s(folder: Path) -> float | None:
 
 
 def remove_recording(path: Path, why: str) -> None:
-    """Remove a recording, its whole frames too, and say why in its cycle's folder.
+    """Remove a recording, its full frames too, and write the reason to its cycle's folder.
 
     raises  OSError: it is there still
     """
     for name in _NAMES:
         path.with_name(name).unlink(missing_ok=True)
-    said = {"at": datetime.now().astimezone().isoformat(timespec="seconds"), "why": why}
+    removal = {"at": datetime.now().astimezone().isoformat(timespec="seconds"), "why": why}
     with suppress(OSError):  # the disk is full
-        write_atomic(path.with_name(form.REMOVED), json.dumps(said, ensure_ascii=False))
+        write_atomic(path.with_name(form.REMOVED), json.dumps(removal, ensure_ascii=False))
 
 
-def _looked_up(path: Path) -> tuple[float, int]:
-    """When a file was written, Unix time, and its bytes; 0 = it is not there any more."""
+def _status_of(path: Path) -> tuple[float, int]:
+    """Unix time of a file's last change, and its bytes; 0 = it does not exist any more."""
     try:
-        found = path.stat()
+        status = path.stat()
     except FileNotFoundError:
         return 0.0, 0
-    return found.st_mtime, found.st_size
+    return status.st_mtime, status.st_size
 
 
 def _is_inserted(folder: Path) -> bool:
-    """Whether a cycle's result says that its cable was inserted."""
+    """Whether the outcome of a cycle's result is `inserted`."""
     outcome: object = known_json(folder / "result.json").get("outcome")
     return outcome == Outcome.INSERTED.value

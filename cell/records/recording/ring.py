@@ -39,9 +39,9 @@ RESERVE_BYTES = 8 * 2**20
 def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
     """File descriptor of memory that a child can share; its path if it is a file in memory.
 
-    The file outlives its processes: after they were killed at once, `cell recover` finds in it what
-    was not written.  Where the system has no such place, or no room there, the memory ends with the
-    last process.
+    The file outlives its processes: after they were killed at once, `cell recover` reads the
+    pending messages from it.  Where the system has no such place, or no room there, the memory
+    ends with the last process.
     raises  OSError: there is no room
     """
     needed_bytes = _HEAD_BYTES + -(-size_bytes // _RECORD.size) * _RECORD.size
@@ -60,12 +60,12 @@ def shared_memory(size_bytes: int) -> tuple[int, Path | None]:
 
 
 def _lengthen(descriptor: int, needed_bytes: int) -> None:
-    """Make a file so long.  Raises OSError: there is no room.
+    """Extend a file to a size.  Raises OSError: there is no room.
 
     The system gives room only when it is written to, and ends the process if there is none then.
     """
-    found = os.fstatvfs(descriptor)
-    if found.f_bavail * found.f_frsize < needed_bytes:
+    filesystem = os.fstatvfs(descriptor)
+    if filesystem.f_bavail * filesystem.f_frsize < needed_bytes:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     os.ftruncate(descriptor, needed_bytes)
 
@@ -88,8 +88,8 @@ def open_somewhere(file: Path) -> bool:
     known = file.stat()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            found = link.stat()
-            if (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino):
+            status = link.stat()
+            if (status.st_dev, status.st_ino) == (known.st_dev, known.st_ino):
                 return True
     return False
 
@@ -163,7 +163,7 @@ class RingReader:
 
     @property
     def position(self) -> int:
-        """How much was taken so far; may be set back to what it was before."""
+        """Number of bytes read so far; may be reset to an earlier value."""
         return int(self._memory.count[1])
 
     @position.setter
@@ -184,13 +184,13 @@ class RingReader:
             length, head_length = _RECORD.unpack(ring[at : at + _RECORD.size].tobytes())
         begin = at + _RECORD.size
         header = pickle.loads(ring[begin : begin + head_length].tobytes())
-        # the padding to a multiple of 8 is cut off by whoever knows the payload's size
+        # the caller removes the padding to a multiple of 8: it knows the payload's size
         payload = ring[begin + head_length : at + length].tobytes()
         memory.count[1] = read + length
         return header, payload
 
     def _counts(self) -> tuple[int, int]:
-        """What was written and read, of one moment: the writer may begin an empty ring anew."""
+        """Consistent pair of `written` and `read`: the writer may reset an empty ring."""
         while True:
             read, written = int(self._memory.count[1]), int(self._memory.count[0])
             if read == int(self._memory.count[1]):

@@ -18,19 +18,19 @@ from cell.files.text_file import read_json_object
 from cell.records.recording import form
 from drivers.installing import install_extra
 
-#: So much is sent at once, the least that a part of an object may have.
+#: Block size of a transfer: the least size of a part of an object.
 BLOCK_BYTES = 5 * 2**20
 #: Stores without folders of their own: there a bucket must exist, elsewhere the folder itself.
 _OBJECT_STORES = frozenset(
     {"abfs", "abfss", "adl", "az", "gcs", "gs", "memory", "oci", "oss", "s3", "s3a"}
 )
 
-#: Entered around everything that is sent or read.
+#: Context that is entered around every block that is sent or read.
 Turn = Callable[[], AbstractContextManager[object]]
 
 
 class RecordingStoreError(Exception):
-    """A store is not there, or has not kept what it was given.  Scenario: the network is down."""
+    """A store is unreachable, or has lost data.  Scenario: the network is down."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Store:
             raise RecordingStoreError(f"{url}: {error}") from error
 
     def put(self, source: Path, name: str, turn: Turn = nullcontext) -> Stored:
-        """Copy a file to the store, read it back there, and mark it as whole.
+        """Copy a file to the store, read it back there, and mark it as complete.
 
         name  where it goes, below the store's URL
         turn  entered around every block
@@ -101,9 +101,9 @@ class Store:
         bucket = bool(named & _OBJECT_STORES)
         place = self._root.lstrip("/").split("/")[0] if bucket else self._root
         if not self._files.exists(place):
-            what = "bucket" if bucket else "folder"
+            kind = "bucket" if bucket else "folder"
             raise RecordingStoreError(
-                f"{self.url}: there is no {what} {place}; make it, or mount it"
+                f"{self.url}: there is no {kind} {place}; make it, or mount it"
             )
 
     def _send(self, source: Path, target: str, turn: Turn) -> tuple[int, str]:
@@ -115,7 +115,7 @@ class Store:
                 with turn():
                     sink.close()
             except BaseException:
-                with suppress(Exception):  # what was sent has no mark, and is replaced next time
+                with suppress(Exception):  # the upload has no mark, and is replaced next time
                     sink.discard()
                 raise
         return sent
@@ -126,11 +126,11 @@ class Store:
 
 
 def fetch(stored: Stored, target: Path, progress: Callable[[float], None]) -> None:
-    """Bring a recording back, whole or not at all.
+    """Download a recording atomically.
 
-    progress  told of the share that is here
-    raises    RecordingStoreError: the store does not give it, or it is another; OSError: there is
-              no place for it here
+    progress  callback that receives the share that has arrived
+    raises    RecordingStoreError: the store does not deliver it, or its content differs; OSError:
+              it cannot be written here
     """
     store = Store(stored.url)
     part = target.with_name(f"{target.name}.{os.getpid()}.fetched")
@@ -164,7 +164,7 @@ def mark(folder: Path, stored: Stored) -> None:
 def stored_of(folder: Path) -> Stored | None:
     """Where the recording of a cycle is stored; None = in no store.
 
-    raises  InputError: what says so was changed
+    raises  InputError: the file with the place was changed
     """
     path = folder / form.STORED
     if not path.exists():
@@ -185,7 +185,7 @@ def name_of(recording: Path, line: str) -> str:
 def _pass_on(
     read: Callable[[int], bytes], write: Callable[[bytes], object], turn: Turn
 ) -> tuple[int, str]:
-    """Write what is read, block by block, each in its turn; size in bytes, and SHA-256."""
+    """Copy block by block, each within `turn`; size in bytes, and SHA-256."""
     digest, size = hashlib.sha256(), 0
     while True:
         with turn():
@@ -198,7 +198,7 @@ def _pass_on(
 
 
 def _nowhere(block: bytes) -> None:
-    """What is only to be hashed."""
+    """Discard a block: it is only hashed."""
 
 
 def _json(stored: Stored) -> str:

@@ -80,9 +80,9 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
     )
 
 
-def _drift(given: Mapping[str, Any] | None) -> HandDrift | None:
+def _drift(section: Mapping[str, Any] | None) -> HandDrift | None:
     """Recordings of earlier versions have none."""
-    return None if given is None else HandDriftSection(**given).drift()
+    return None if section is None else HandDriftSection(**section).drift()
 
 
 def _array(values: Any) -> FloatArray:
@@ -92,7 +92,7 @@ def _array(values: Any) -> FloatArray:
 def unpack(recording: Recording, into: Path) -> Path:
     """Write study, settings, model, state and result to a folder named as the cycle's was.
 
-    raises  InputError: the recording does not say of which cycle it is, or is damaged; OSError
+    raises  InputError: the recording does not name its cycle, or is damaged; OSError
     """
     about = recording.last(form.CYCLE)
     if about is None:
@@ -109,14 +109,14 @@ def unpack(recording: Recording, into: Path) -> Path:
     state |= {k: about[k] for k in ("started", "product") if about.get(k) is not None}
     _write(folder / "state.json", state)
     for topic, name in ((form.MODEL, "model.json"), (form.RESULT, "result.json")):
-        if (said := recording.last(topic)) is not None:
-            _write(folder / name, said)
+        if (data := recording.last(topic)) is not None:
+            _write(folder / name, data)
     if recording.count(form.SETTINGS):
         settings = restored_files(recording, into / "files")
         (folder / "settings.yaml").write_text(yaml_text(settings), encoding="utf-8")
-    if (said := recording.last(form.STUDY)) is not None:
+    if (data := recording.last(form.STUDY)) is not None:
         try:
-            write_study(study_from_plain(said), folder / "study", recorded=True)
+            write_study(study_from_plain(data), folder / "study", recorded=True)
         except (KeyError, TypeError, ValueError) as error:
             message = f"{form.STUDY} is no study ({type(error).__name__}: {error})"
             raise InputError.at(recording.path, message) from error
@@ -128,12 +128,12 @@ def restored_files(recording: Recording, folder: Path) -> dict[str, Any]:
 
     raises  InputError: the recording holds no settings
     """
-    said = recording.last(form.SETTINGS)
-    if said is None:
+    message = recording.last(form.SETTINGS)
+    if message is None:
         raise InputError.at(recording.path, "holds no settings; give some with --config")
-    settings: dict[str, Any] = said["settings"]
+    settings: dict[str, Any] = message["settings"]
     places = {}
-    for number, (path, text) in enumerate(said["files"].items()):
+    for number, (path, text) in enumerate(message["files"].items()):
         place = folder / f"{number}" / Path(path).name
         if Path(path).suffix == ".yaml":
             place = folder / "calibration" / Path(path).name

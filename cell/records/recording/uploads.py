@@ -17,13 +17,13 @@ from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
 
-#: After a failure the store is tried again so soon, s, then later and later.
+#: First delay before a retry after a failure, s; it grows.
 _FIRST_S, _LAST_S = 2.0, 120.0
-#: So long a gripper that is about to grip waits for the block that is on its way, s …
+#: Longest wait of the gripper before gripping for the block in transfer, s …
 HOLD_S = 2.0
 #: … and the end of a run for the recordings that are not uploaded yet.
 CLOSE_S = 60.0
-#: How often it is looked for a recording that its recorder has yet to finish, s.
+#: Polling interval for a recording that its recorder has yet to finish, s.
 _LOOK_S = 0.1
 
 
@@ -38,9 +38,9 @@ def waiting(runs: Path) -> list[Path]:
 
 
 def bring(store: Store, recording: Path, line: str, turn: Turn) -> Stored | None:
-    """Upload a recording, verify it, then remove the local one unless it is marked as kept.
+    """Upload a recording, verify it, then remove the local one unless it is protected.
 
-    returns  None = another process is at it, or has done it
+    returns  None = a different process uploads it, or has done so
     raises   RecordingStoreError: it stays here; OSError
     """
     try:
@@ -66,9 +66,9 @@ class Uploads:
     """Uploads recordings in a thread, between two cables.
 
     open_store  opens it, in the thread
-    runs        folder of the records: what earlier runs have left there is uploaded too
+    runs        folder of the records: pending recordings of earlier runs are uploaded too
     line        that the cell belongs to
-    notes       what a person should know
+    notes       messages for a person
     """
 
     def __init__(self, open_store: Callable[[], Store], runs: Path, line: str) -> None:
@@ -81,22 +81,22 @@ class Uploads:
         self._over = threading.Event()
         self._empty = threading.Event()  # the jaws
         self._block = threading.Lock()
-        self._left = 0
+        self._remaining = 0
         self._failed = ""
         self._thread = GuardedThread("uploads", self._run, self._died)
 
     def start(self) -> None:
-        """Begin, with what earlier runs have left; nothing is sent before the jaws are empty."""
+        """Begin, with pending recordings; nothing is sent before the jaws are empty."""
         self._thread.start()
 
     def add(self, recording: Path) -> None:
-        """A recording has ended: it becomes a file soon."""
+        """Register a recording that has ended: it becomes a file soon."""
         self._new.append(recording)
         self._wake.set()
 
     def jaws(self, *, holding: bool) -> None:
-        """The jaws hold a cable or are about to, or are empty.  Nothing is on its way when this
-        returns, unless the store needs longer than `HOLD_S` for a block.
+        """Report whether the jaws hold a cable or are about to.  No block is in transfer when this
+        returns, unless the store needs longer than `HOLD_S` for it.
         """
         if not holding:
             self._empty.set()
@@ -110,17 +110,17 @@ class Uploads:
             _LOG.warning("uploads: the store is slow: a block is sent while a cable is gripped")
 
     def close(self) -> None:
-        """Upload what is left if no cable is in the jaws, but not for ever."""
+        """Upload the rest if no cable is in the jaws, with a time limit."""
         if not self._thread.is_alive():
             return
         self._over.set()
         self._wake.set()
         self._thread.join(CLOSE_S if self._empty.is_set() else HOLD_S)
-        if self._left or self._thread.is_alive():
+        if self._remaining or self._thread.is_alive():
             why = self._failed or "there was no time"
             if not self._empty.is_set():
                 why = "a cable is in the jaws"
-            number = max(self._left, 1)
+            number = max(self._remaining, 1)
             self.notes.append(
                 f"recordings in {self._runs} that are not uploaded yet: {number}: {why}; the next "
                 "run or `cell upload` does it"
@@ -129,20 +129,20 @@ class Uploads:
     # --- its thread -------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        left = deque(waiting(self._runs))
+        pending = deque(waiting(self._runs))
         pause_s = _FIRST_S
         while True:
             over = self._over.is_set()
-            unfinished = self._take_new(left)
-            self._left = len(left)
-            if not left:
+            unfinished = self._take_new(pending)
+            self._remaining = len(pending)
+            if not pending:
                 if over:
                     return
                 self._wake.wait(_LOOK_S if unfinished else None)
                 self._wake.clear()
                 continue
             try:
-                bring(self._opened(), left[0], self._line, self._turn)
+                bring(self._opened(), pending[0], self._line, self._turn)
             except _NotNowError:
                 return
             except (RecordingStoreError, OSError) as error:
@@ -150,12 +150,12 @@ class Uploads:
                     _LOG.warning("uploads: %s: recordings stay here until it is there", error)
                 pause_s = min(_LAST_S, 2.0 * pause_s) if self._failed else _FIRST_S
                 self._failed = str(error)
-                left.rotate(-1)  # it may be this one alone
+                pending.rotate(-1)  # it may be this one alone
                 if self._over.is_set():
                     return
                 self._over.wait(pause_s)
             else:
-                left.popleft()
+                pending.popleft()
                 self._failed = ""
 
     def _died(self, error: BaseException) -> None:
@@ -169,19 +169,19 @@ class Uploads:
             self._store = self._open_store()
         return self._store
 
-    def _take_new(self, left: deque[Path]) -> bool:
-        """Take recordings that have ended and are files; whether some are none yet, or are torn."""
+    def _take_new(self, pending: deque[Path]) -> bool:
+        """Queue recordings that are files by now; whether some are unfinished or torn."""
         for _ in range(len(self._new)):
             path = self._new.popleft()
-            (left if path.exists() else self._new).append(path)
+            (pending if path.exists() else self._new).append(path)
         return bool(self._new)
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Something is sent: only while the jaws are empty."""
+        """Context of a transfer: entered only while the jaws are empty."""
         while True:
             while not self._empty.wait(_LOOK_S):
-                over = self._over.is_set()  # asked first: jaws are emptied before
+                over = self._over.is_set()  # checked first: jaws are emptied before
                 if over and not self._empty.is_set():
                     raise _NotNowError("a run ends while a cable is in the jaws")
             with self._block:

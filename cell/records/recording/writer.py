@@ -1,7 +1,7 @@
 """Writes a recording's file; used by the recorder's process alone.
 
 A chunk of the file is complete on the disk with every frame and every flush, so that a killed
-process costs what came since.
+process loses only later messages.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from drivers.threads import GuardedThread, error_text
 CHUNK_BYTES = 256 * 1024
 #: Level 1 compresses frames with noise by a third at 450 MB/s, level 3 hardly more at 70 MB/s.
 LEVEL = 1
-#: Left free on the disk for the cycle's own record and for other programs …
+#: Reserve on the disk for the cycle's own record and for other programs …
 LEAST_FREE_BYTES = 64 * 2**20
-#: … of which messages that are not frames may use this share.
+#: … of which messages other than frames may use this share.
 _SHARE_OF_MESSAGES = 0.5
 
 _LEVELS = {
@@ -68,9 +68,9 @@ class Sink:
     def write(self, data: bytes) -> int:
         """Write all of it."""
         try:
-            left = memoryview(data)
-            while left:
-                left = left[os.write(self._file, left) :]
+            remaining = memoryview(data)
+            while remaining:
+                remaining = remaining[os.write(self._file, remaining) :]
         except OSError as error:
             self.refused = error
             raise
@@ -81,14 +81,14 @@ class Sink:
         return os.lseek(self._file, offset, whence)
 
     def flush(self) -> None:
-        """Nothing is held back here."""
+        """Do nothing: writes are not buffered."""
 
     def sync(self) -> None:
-        """Bring what was written to the disk itself."""
+        """Flush the file to the disk itself."""
         os.fdatasync(self._file)
 
     def close(self) -> None:
-        """Close the file; what is written to it later is refused."""
+        """Close the file; later writes are refused."""
         os.close(self._file)
         self._file = -1
 
@@ -110,8 +110,8 @@ def open_mcap(sink: Sink, context: Context, level: int = LEVEL) -> MCAPWriter:
 class RecordingWriter:
     """One recording's file.
 
-    begun   what is said at the beginning; `epoch_ns` of it is added to times on the cell's clock:
-            nanoseconds since 1970
+    begun   metadata of the beginning; its `epoch_ns`, nanoseconds since 1970, is added to times on
+            the cell's clock
     raises  OSError, from every method that writes
     """
 
@@ -133,7 +133,7 @@ class RecordingWriter:
             for topic in form.JSON_TOPICS
         }
         self._images = RawImageChannel(form.IMAGE, context=self._context)
-        self._seen = ImageAnnotationsChannel(form.SEEN, context=self._context)
+        self._detections = ImageAnnotationsChannel(form.SEEN, context=self._context)
         self._log = LogChannel(form.LOG, context=self._context)
         self._poses = {
             topic: PoseInFrameChannel(topic, context=self._context)
@@ -170,7 +170,7 @@ class RecordingWriter:
             self._count(topic)
 
     def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
-        """The cable in the pictures: (n, points, 2) column and row, nan = not seen."""
+        """The cable in the pictures: (n, points, 2) column and row, nan = not detected."""
         for at_s, points in zip(t_s, points_px, strict=True):
             stamp = self._stamp(at_s)
             line = messages.PointsAnnotation(
@@ -182,7 +182,7 @@ class RecordingWriter:
                 outline_color=messages.Color(r=0.0, g=0.8, b=1.0, a=1.0),
                 thickness=2.0,
             )
-            self._seen.log(messages.ImageAnnotations(points=[line]), log_time=self._ns(at_s))
+            self._detections.log(messages.ImageAnnotations(points=[line]), log_time=self._ns(at_s))
             self._count(form.SEEN)
 
     def log(self, t_s: float, level: str, name: str, text: str) -> None:
@@ -204,18 +204,18 @@ class RecordingWriter:
         self._count(topic)
 
     def flush(self) -> None:
-        """End the chunk: what was written so far is in the file."""
+        """End the chunk, so that all messages so far are in the file."""
         self._writer.flush()
         self._check()
 
     def sync(self) -> None:
-        """Have the system bring the file to the disk, beside what is written next."""
+        """Flush the file to the disk in a thread, concurrently with further writes."""
         if self._syncing is None or not self._syncing.is_alive():
             self._syncing = GuardedThread("sync", self._sink.sync, self._not_synced)
             self._syncing.start()
 
     def close(self, closed: Mapping[str, str]) -> None:
-        """End the file with its index and the mark that nothing more comes."""
+        """End the file with its index and the mark that it is complete."""
         try:
             self._writer.write_metadata(form.CLOSED, dict(closed))
             self._writer.close()
@@ -231,11 +231,11 @@ class RecordingWriter:
         self._sink.close()
 
     def _not_synced(self, error: BaseException) -> None:
-        """The system says only once that it could not: whoever writes next is told."""
+        """Keep the error for the next write: the system reports it only once."""
         self._sink.refused = error if isinstance(error, OSError) else OSError(error_text(error))
 
     def _join(self) -> None:
-        """The file must stay open until the system has brought it to the disk."""
+        """Wait for the flush: the file must stay open until it has ended."""
         if self._syncing is not None:
             self._syncing.join()
 
@@ -261,7 +261,7 @@ class RecordingWriter:
         return messages.Timestamp(sec=seconds, nsec=nanoseconds)
 
 
-#: What was put into the ring is in the file so soon, s, if the computer has time for it …
+#: Time until messages in the ring are in the file, s, if the processor is free …
 FLUSH_S = 0.02
 #: … and on the disk itself.
 SYNC_S = 0.25
@@ -270,9 +270,9 @@ SYNC_S = 0.25
 class RecordingSession:
     """One recording, from its first message to its last.
 
-    part    file until it is complete; None = `recording.mcap.part` beside `path`
-    vision  pickled `VisionSetup`: a band is kept of the frames of a recording that is complete;
-            None = they are kept whole
+    part    file until it is complete; None = `recording.mcap.part` next to `path`
+    vision  pickled `VisionSetup`: frames of a complete recording are stored as bands; None = full
+            frames are stored
     """
 
     def __init__(
@@ -297,7 +297,7 @@ class RecordingSession:
             self._refuse(error)
 
     def write(self, header: tuple[Any, ...], payload: bytes) -> None:
-        """Write one message; what cannot be written is counted as lost."""
+        """Write one message; a failed write is counted as lost."""
         if self._writer is None:
             self._lose(header)
             return
@@ -326,7 +326,7 @@ class RecordingSession:
             self._lose(header)
 
     def keep_up(self, now: bool = False) -> None:
-        """Bring what was written to the file, and to the disk, from time to time."""
+        """Flush to the file, and to the disk, at intervals."""
         passed_s = time.monotonic()
         if self._writer is None or not (now or passed_s - self._flushed_s >= FLUSH_S):
             return
@@ -340,10 +340,10 @@ class RecordingSession:
             self._synced_s = passed_s
             self._writer.sync()
 
-    def end(self, keep: bool, complete: bool, whole: bool = False) -> dict[str, Any]:
-        """Close the file, read it back and say what became of it.
+    def end(self, keep: bool, complete: bool, full: bool = False) -> dict[str, Any]:
+        """Close the file, read it back and report the result.
 
-        whole  whether its frames are kept whole too, in a file of their own
+        full  whether full frames are stored too, in a separate file
         """
         report = {"path": str(self.path), "kept": keep, "complete": complete}
         report["lost_messages"] = self._lost_messages
@@ -362,7 +362,7 @@ class RecordingSession:
                 self._writer.close(closed)
                 if keep:
                     vision = self._vision if complete else None  # else somebody waits for it
-                    report["not_reduced"] = self._verify(counts, vision, whole)
+                    report["not_reduced"] = self._verify(counts, vision, full)
                 else:
                     self._part.unlink()
             if keep:
@@ -374,30 +374,30 @@ class RecordingSession:
             report["error"] = str(error)
         return report | {"lost_frames": self._all_lost, "cause": self._cause}
 
-    def _verify(self, counts: dict[str, int], vision: bytes | None, whole: bool) -> str:
-        """Read the complete file back and give it its name, or that to a band of its frames.
+    def _verify(self, counts: dict[str, int], vision: bytes | None, full: bool) -> str:
+        """Read the file back, and give its final name to it or to its copy with bands.
 
-        returns  why there is no band though one was wanted, or ""
+        returns  why there is no band though one was requested, or ""
         """
-        why, said = "", json.dumps(counts)
+        why, expected = "", json.dumps(counts)
         if vision is not None:
             band, frames = self.path.with_name(form.BAND), self.path.with_name(form.WHOLE)
             try:
                 band.unlink(missing_ok=True)
                 place = str(self._part), str(band)
-                _run("cell.records.recording.band", *place, said, given=vision)
+                _run("cell.records.recording.band", *place, expected, stdin=vision)
             except (OSError, TornRecordingError) as error:
                 why = str(error)
                 with suppress(OSError):
                     band.unlink(missing_ok=True)
             else:
                 band.rename(self.path)
-                if whole:
+                if full:
                     self._part.rename(frames)
                 else:
                     self._part.unlink()
                 return ""
-        _run("cell.records.recording.reading", str(self._part), said)
+        _run("cell.records.recording.reading", str(self._part), expected)
         self._part.rename(self.path)
         return why
 
@@ -417,7 +417,7 @@ class RecordingSession:
         self._lost, self._first_lost = 0, None
 
     def _refuse(self, error: Exception) -> None:
-        """Nothing more can be written; the file stays as it is."""
+        """Stop writing; the file is not changed any more."""
         self._cause = self._cause or f"the recording cannot be written: {error}"
         if self._writer is not None:
             with suppress(OSError):
@@ -425,14 +425,14 @@ class RecordingSession:
         self._writer = None
 
 
-def _run(module: str, *arguments: str, given: bytes = b"") -> None:
-    """Read a file back in a process of its own: the next cycle is recorded meanwhile.
+def _run(module: str, *arguments: str, stdin: bytes = b"") -> None:
+    """Run a module in its own process, so that the next cycle is recorded in the meantime.
 
-    given   on its standard input
+    stdin   its standard input
     raises  TornRecordingError
     """
     done = subprocess.run(
-        [sys.executable, "-m", module, *arguments], input=given, stderr=subprocess.PIPE
+        [sys.executable, "-m", module, *arguments], input=stdin, stderr=subprocess.PIPE
     )
     if done.returncode < 0:  # as by a system without memory
         name = signal.Signals(-done.returncode).name

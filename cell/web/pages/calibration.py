@@ -23,16 +23,16 @@ from cell.web.heartbeat import on_press
 from cell.web.theme import BLUE, GREEN, N_, RED, heading, table
 from cell.web.visit import Visit, do
 
-#: Words of what is calibrated.
+#: Titles of the calibrations.
 WORDS = {
     "camera": N_("Camera: lens"),
     "cell": N_("Cell: map from pixels to the plane"),
     "time": N_("Time: latency and lag"),
     "grip": N_("Grip: gripping point, clamp angle, free length"),
 }
-#: Ending of an error's name → unit that people read, how many of it are one SI unit.
+#: Suffix of an error's name → displayed unit, factor from the SI unit.
 _UNITS = {"m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("°", 180.0 / math.pi), "px": ("px", 1.0)}
-#: The error of a lens that is shown beside those that are bounded.
+#: The error of a lens that is shown in addition to the bounded ones.
 _ALSO = ("spread_95_px", "noise_px", "held_out_rms_m")
 
 
@@ -40,10 +40,10 @@ _ALSO = ("spread_95_px", "noise_px", "held_out_rms_m")
 class CalibrationPart:
     """One calibration.
 
-    name   of its file, without the ending
+    name   of its file, without the suffix
     made   local time; None = there is none
     valid  whether `cell run` may use it
-    why    why not, or ""
+    why    reason if not, or ""
     errors heading → value with its bound
     """
 
@@ -86,7 +86,7 @@ def _part(kind: str, settings: Settings, now: datetime) -> CalibrationPart:
 def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, str], ...]:
     assert settings.calibration is not None
     bounds = bounds_of(settings.calibration)
-    found = []
+    rows = []
     for name in (*bounds, *_ALSO):
         if name not in stored.error:
             continue
@@ -94,13 +94,13 @@ def _errors(stored: StoredCalibration, settings: Settings) -> tuple[tuple[str, s
         text = f"{float(stored.error[name]) * size:.3g} {unit}"
         if name in bounds:
             text += f" ≤ {bounds[name] * size:.3g} {unit}"
-        found.append((name.rpartition("_")[0].replace("_95", " 95 %").replace("_", " "), text))
-    return tuple(found)
+        rows.append((name.rpartition("_")[0].replace("_95", " 95 %").replace("_", " "), text))
+    return tuple(rows)
 
 
-#: The page is brought up to date so often, s.
+#: Interval of the page's updates, s.
 _EVERY_S = 0.5
-#: What can be started: word of the command, heading.
+#: Commands that can be started: word of the command, heading.
 _STARTS = (
     ("", N_("Everything")),
     ("camera", N_("Camera")),
@@ -137,7 +137,7 @@ class _CalibrationPage:
         self._question = OpenQuestion(visit.room.guided)
 
     def build(self) -> None:
-        """Make the elements, and keep them up to date."""
+        """Make the elements, and update them periodically."""
         self._guide()
         self._states()
         self._starts()
@@ -157,9 +157,9 @@ class _CalibrationPage:
 
     @ui.refreshable_method
     def _states(self) -> None:
-        """What there is."""
+        """Table of the calibrations."""
         t = self._t
-        found = parts(self._settings)
+        listed = parts(self._settings)
         heads = [t("Calibration"), t("State"), t("Made"), t("Age"), t("Errors and bounds")]
         rows = [
             [
@@ -169,11 +169,11 @@ class _CalibrationPage:
                 "" if p.made is None else t(f"{_hours(p.age_h)} ≤ {_hours(p.most_h)}"),
                 "\n".join(f"{t(name)}: {t(text)}" for name, text in p.errors),
             ]
-            for p in found
+            for p in listed
         ]
         table(t("What there is"), heads, rows, set())
         with ui.row().classes("gap-4"):
-            for p in found:
+            for p in listed:
                 if p.made is not None:
                     ui.link(f"{t('Report')}: {p.name}", f"/calibration/{p.name}", new_tab=True)
 
@@ -239,8 +239,8 @@ class _CalibrationPage:
                         f'text-color=white data-test="answer{words}"'
                     )
             bar = ui.linear_progress(show_value=False).props(f'aria-label="{t("Progress")}"')
-            said = ui.label().classes("whitespace-pre-line break-words font-mono")
-            said.props("data-test=guided-said")
+            output = ui.label().classes("whitespace-pre-line break-words font-mono")
+            output.props("data-test=guided-said")
             picture = ui.element("img").classes("w-full max-w-3xl")
             picture.props(f'alt="{t("Corners of the board seen so far; the newest in orange")}"')
             cancel = ui.button(t("Cancel"), color=RED, on_click=self._cancel)
@@ -256,7 +256,7 @@ class _CalibrationPage:
             answers.set_visibility(self._question.refresh())
             bar.set_visibility(state.runs and state.total > 0)
             bar.value = state.done / state.total if state.total else 0.0
-            said.text = "\n".join(map(t, state.output[-(4 if state.runs else 12) :]))
+            output.text = "\n".join(map(t, state.output[-(4 if state.runs else 12) :]))
             cancel.set_visibility(state.runs)
             written_s = self._coverage_s()
             picture.set_visibility(written_s > state.started_s)
@@ -272,7 +272,7 @@ class _CalibrationPage:
         return words.get(code or 0, t("nothing came of it"))
 
     def _coverage_s(self) -> float:
-        """When the picture of the coverage was written, Unix time; 0 = never."""
+        """Unix time of the picture of the coverage; 0 = there is none."""
         assert self._settings.calibration is not None
         try:
             return (self._settings.calibration.folder / assistants.FILE).stat().st_mtime

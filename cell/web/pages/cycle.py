@@ -1,4 +1,4 @@
-"""One cycle: film with a slider, the tip's path, times, parameters; whether the film is kept."""
+"""One cycle: film with a slider, the tip's path, times, parameters; protection of the film."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ from cell.web.theme import (
 from cell.web.views import PICTURES, step_word
 from cell.web.visit import Visit, do
 
-#: The film is played so much slower than reality.
+#: Slow-motion factor of the film.
 _SLOWER = 10
-#: Words of the charts.
+#: Labels of the charts.
 _NAMES = {
     "seen": N_("seen"),
     "predicted": N_("predicted"),
@@ -61,17 +61,17 @@ _NAMES = {
     "margin": N_("margin, mm"),
     "chosen": N_("executed"),
 }
-#: Tabs of the lab that begin with this cycle's study, and what each answers.
+#: Tabs of the lab that begin with this cycle's study, and their questions.
 _TO_LAB = {
     "compare": N_("Compare with the model"),
     "diagnose": N_("What does the model lack?"),
 }
-#: The state of a replay is looked up so often, s.
+#: Polling interval of a replay's state, s.
 _EVERY_S = 0.5
 
 
 def build(visit: Visit, name: str) -> None:
-    """Fill the page; what takes its time follows."""
+    """Fill the page; slow parts are loaded later."""
     script = asset("film.js", SLOWER=str(_SLOWER))
     ui.add_body_html(f"<script>{script}</script>")
     with ui.column().classes("w-full max-w-7xl mx-auto p-2 gap-4"):
@@ -98,14 +98,14 @@ class _CyclePage:
         self._replaying = 0
 
     def place(self) -> None:
-        """Make the places that are filled later."""
+        """Make the placeholders that are filled later."""
         self._replayed = ui.label().classes("w-full whitespace-pre-line break-words")
         self._replayed.props("role=status data-test=replayed").set_visibility(False)
         self._place = ui.column().classes("w-full gap-4")
         ui.timer(_EVERY_S, self._show_replay)
 
     def replay(self) -> None:
-        """Compute the cycle again from its recording, in a process of its own."""
+        """Repeat the cycle from its recording, in a separate process."""
         jobs, room = self._visit.room.lab.jobs, self._visit.room
         folder = cycle_folder(room.runs, self._name)
         if folder is None:
@@ -124,9 +124,9 @@ class _CyclePage:
         job = next((j for j in jobs if j.number == self._replaying), None)
         if job is None:
             return
-        said = (*job.printed, *(job.output if job.state is JobState.FAILED else ()))
+        lines = (*job.printed, *(job.output if job.state is JobState.FAILED else ()))
         under_way = f"{self._t('Replay')}: {self._t('at work')} …"
-        self._replayed.text = under_way if job.state in OPEN else "\n".join(map(self._t, said))
+        self._replayed.text = under_way if job.state in OPEN else "\n".join(map(self._t, lines))
         self._replayed.set_visibility(True)
         self._replaying = self._replaying if job.state in OPEN else 0
 
@@ -137,14 +137,14 @@ class _CyclePage:
             ui.navigate.to("/history")
             return
         try:
-            found = await run.io_bound(_load_cycle, self._visit, folder)
+            loaded = await run.io_bound(_load_cycle, self._visit, folder)
         except InputError as error:
             with self._place:
                 ui.label(str(error)).classes("wrong break-words")
             return
-        if found is None:
+        if loaded is None:
             return
-        view, times, self._hours = found
+        view, times, self._hours = loaded
         self._place.clear()
         with self._place:
             self._heading(view)
@@ -160,8 +160,8 @@ class _CyclePage:
         t = self._t
         title = f"{t('Cable')} {view.cycle}"
         ui.label(title).classes("text-2xl").props("role=heading aria-level=1")
-        said = ui.label(t(view.summary)).classes("text-lg break-words").props("data-test=says")
-        said.classes(add="" if view.good else "wrong")
+        label = ui.label(t(view.summary)).classes("text-lg break-words").props("data-test=says")
+        label.classes(add="" if view.good else "wrong")
         begun = f"{view.started:%Y-%m-%d %H:%M:%S}" if view.started else ""
         part = f"{t('Part')} {view.part}" if view.part else ""
         ui.label(" · ".join(filter(None, (begun, part, self._name)))).classes("break-all")
@@ -171,8 +171,8 @@ class _CyclePage:
         with ui.card().classes("w-full"):
             heading(t("Film"))
             if view.no_film or not times:
-                said = view.no_film or N_("the recording has no frames")
-                ui.label(t(said)).classes("break-words").props("data-test=no-film")
+                reason = view.no_film or N_("the recording has no frames")
+                ui.label(t(reason)).classes("break-words").props("data-test=no-film")
             else:
                 self._player(times)
                 for gap in view.gaps:
@@ -194,28 +194,28 @@ class _CyclePage:
             play.on("click", js_handler="() => film.play()")
             ui.label(f"0.000 s · 1/{len(times)}").props("id=film-time data-test=time")
             ui.label(f"{t('slower than reality:')} {_SLOWER} ×").classes("quiet")
-        given = json.dumps([round(s, 4) for s in times])
-        ui.run_javascript(f"film.stop(); film.times = {given}; film.base = {base!r}; film.at = 0;")
+        stamps = json.dumps([round(s, 4) for s in times])
+        ui.run_javascript(f"film.stop(); film.times = {stamps}; film.base = {base!r}; film.at = 0;")
 
     @ui.refreshable_method
     def _show_retention(self) -> None:
         t = self._t
-        kept = is_protected(self._visit.room.runs / self._name)
+        protected = is_protected(self._visit.room.runs / self._name)
         with ui.row().classes("items-center"):
-            words = t("The film is kept for good.") if kept else t("The film may be removed.")
+            words = t("The film is kept for good.") if protected else t("The film may be removed.")
             ui.label(words).props("data-test=kept")
             if self._hours is not None:
                 fits = t("Room for films of so many hours of work:")
                 ui.label(f"{fits} {self._hours:.1f}").classes("quiet").props("data-test=room")
 
             async def keep() -> None:
-                what = "release recording" if kept else "keep recording"
-                await self._did(what, lambda folder: keep_recording(folder, not kept))
+                action = "release recording" if protected else "keep recording"
+                await self._did(action, lambda folder: keep_recording(folder, not protected))
                 self._show_retention.refresh()
 
-            label = t("Keep no longer") if kept else t("Keep for good")
+            label = t("Keep no longer") if protected else t("Keep for good")
             ui.button(label, on_click=keep).props("outline data-test=keep")
-            if kept:
+            if protected:
                 return
 
             async def remove() -> None:
@@ -229,7 +229,7 @@ class _CyclePage:
 
             ui.button(t("Remove"), on_click=remove).props("outline data-test=remove")
 
-    async def _did(self, what: str, change: Callable[[Path], None]) -> None:
+    async def _did(self, action: str, change: Callable[[Path], None]) -> None:
         def act() -> str:
             folder = cycle_folder(self._visit.room.runs, self._name)
             if folder is None:
@@ -240,7 +240,7 @@ class _CyclePage:
                 return f"{error.filename}: {error.strerror}"
             return ""
 
-        await do(self._visit, what, Role.engineer, act, self._name)
+        await do(self._visit, action, Role.engineer, act, self._name)
 
     def _charts(self, view: CycleView) -> None:
         t, names = self._t, {key: self._t(word) for key, word in _NAMES.items()}
@@ -296,7 +296,7 @@ def _word(t: Callable[[str], str], kind: str, name: str) -> str:
 
 
 def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...], float | None]:
-    """The cycle, the times of its frames, and for how many hours films fit.  Raises InputError."""
+    """The cycle, the times of its frames, and the hours of films that fit.  Raises InputError."""
     view = cycle_view(folder)
     times: tuple[float, ...] = ()
     if not view.no_film:
@@ -308,7 +308,7 @@ def _load_cycle(visit: Visit, folder: Path) -> tuple[CycleView, tuple[float, ...
 
 
 def _hours_of_films(visit: Visit) -> float | None:
-    """For so long there is room for films; None = the settings cannot be read, or record none."""
+    """Hours of films that fit; None = the settings cannot be read, or record none."""
     try:
         settings = load_settings(visit.room.config)
     except InputError:

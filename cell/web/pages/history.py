@@ -20,11 +20,11 @@ from cell.web.visit import Visit
 from cell.web.watching import read_ledger
 from cell.web.wording import Translate
 
-#: The newest cycles are shown, so many.
+#: Number of the newest cycles that are shown.
 MOST = 300
 _DAYS = (1, 7, 30, 0)
 
-#: The first cell of a row leads to the cycle's page.
+#: The first cell of a row links to the cycle's page.
 _LINK = """
 <q-td :props="props">
   <a :href="`/cycle/${props.row.name}`" class="underline whitespace-nowrap">{{ props.value }}</a>
@@ -50,7 +50,7 @@ def build(visit: Visit) -> None:
             {None: t("all"), **{n: n for n in made}}, label=t("Product"), value=None
         )
         product.classes("w-40").set_visibility(bool(made))
-    said = ui.label().classes("whitespace-pre-line")
+    message = ui.label().classes("whitespace-pre-line")
     reasons = ui.label().classes("whitespace-pre-line break-words").props("data-test=reasons")
     LostTime(visit).build()
     errors = chart({})
@@ -90,17 +90,17 @@ def build(visit: Visit) -> None:
             part=(part.value or "").strip() or None,
             product=product.value,
         )
-        found = await run.io_bound(_query, visit, wanted)
-        if found is None:
+        result = await run.io_bound(_query, visit, wanted)
+        if result is None:
             return
-        cycles, changes, error = found
+        cycles, changes, error = result
         table.rows = [history_row(c, t) for c in reversed(cycles)]
         names = (t("Error of the forecast"), t("± 3 σ expected"), t("Rejected or failed"))
         options = error_chart(cycles, (*names, t("Cable")))
         errors.set_visibility(bool(options["xAxis"]["data"]))
         show_option(errors, options)
         nothing = t("Nothing has changed in the newest cycles.")
-        said.text = t(error) or "\n".join(changes) or nothing
+        message.text = t(error) or "\n".join(changes) or nothing
         figures = visit.room.watch.state.figures
         lines = reasons_text(figures.reasons, t) if figures else ""
         reasons.text = f"{t('This shift')}:\n{lines}" if lines else ""
@@ -111,23 +111,23 @@ def build(visit: Visit) -> None:
 
 
 def _query(visit: Visit, wanted: LedgerQuery) -> tuple[list[ListedCycle], list[str], str]:
-    """Cycles that are asked for, what charts say of the line, and why there are none."""
+    """Cycles of a query, signals of the line's charts, and an error if there are none."""
     settings = visit.room.settings
 
     def read(ledger: Ledger) -> tuple[list[ListedCycle], list[str]]:
         changes = changes_of(ledger, settings, wanted.product, visit.t)
         return ledger.listed(wanted, MOST), changes
 
-    found, error = read_ledger(settings, visit.room.runs, read)
-    return *(found or ([], [])), error
+    result, error = read_ledger(settings, visit.room.runs, read)
+    return *(result or ([], [])), error
 
 
 def changes_of(ledger: Ledger, settings: Settings, product: str | None, t: Translate) -> list[str]:
     """Control-chart signals of the newest model, of one product or of each.  Raises LedgerError."""
     names: list[str | None] = [*settings.products] if product is None else [product]
-    found = []
+    texts = []
     for name in names or [None]:
         results = ledger.results(line_name(settings), name)
         newest = [r for r in results if r.model == results[-1].model]
-        found += [f"{name}: {t(str(s))}" if name else t(str(s)) for s in signals(newest)]
-    return found
+        texts += [f"{name}: {t(str(s))}" if name else t(str(s)) for s in signals(newest)]
+    return texts

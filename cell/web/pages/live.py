@@ -1,7 +1,7 @@
 """The line's page, on one screen: state, picture, newest cables, commands; a fault if there is one.
 
-After ISA-101 (human machine interfaces for process automation systems) all is grey but what needs
-a person; after IEC 60204-1 Start is white and Stop black, and no button of a screen is a red one.
+After ISA-101 (human machine interfaces for process automation systems) colours mark only items that
+need a person; after IEC 60204-1 Start is white and Stop black, and no screen button is red.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from cell.web.views import (
 from cell.web.visit import Visit
 from cell.web.wording import Translate
 
-#: The page is brought up to date so often, s.
+#: Interval of the page's updates, s.
 _EVERY_S = 0.4
 
 _BUTTONS = (
@@ -61,7 +61,7 @@ class _Live:
         self._updates: list[Callable[[LiveView], None]] = []
 
     def build(self) -> None:
-        """Make the elements, and keep them up to date."""
+        """Make the elements, and update them periodically."""
         ui.add_css(asset("live.css"))
         heading = ui.label(self._t("Live")).classes("unseen")
         heading.props("role=heading aria-level=1")
@@ -108,7 +108,7 @@ class _Live:
         self._updates.append(update)
 
     def _step_text(self, view: LiveView) -> str:
-        """The step under way with its time, else why there is none."""
+        """The current step with its time, else why there is none."""
         t = self._t
         if view.unknown_s is not None:
             at = datetime.fromtimestamp(view.unknown_s).astimezone()
@@ -122,7 +122,7 @@ class _Live:
         return f"{t('Waits for')} {waits}" if waits else t(view.note)
 
     def _picture(self) -> None:
-        """The camera's newest picture while it comes, else that of the newest cable with one."""
+        """The camera's newest picture while it records, else that of the newest cable with one."""
         t, room = self._t, self._visit.room
         with ui.element("div").classes("live-picture"):
             picture = ui.element("img").props("data-test=camera")
@@ -148,7 +148,7 @@ class _Live:
         self._updates.append(update)
 
     def _person(self) -> None:
-        """What needs a person: a fault, or a stop; and troubles of programs beside the cell."""
+        """Items that need a person: a fault or a stop, and failures of the cell's adapters."""
         t = self._t
         with ui.element("div").classes("live-person") as card:
             with ui.element("div").props("role=alert"):
@@ -160,23 +160,23 @@ class _Live:
             answer = self._acknowledgement() if self._visit.has_role(Role.operate) else None
 
         def update(view: LiveView) -> None:
-            asked = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
+            stops = MachineEvent.CLEAR in view.buttons or "acknowledgement" in view.waiting
             may_reset = MachineEvent.RESET in view.buttons and view.style.word == "Stopped"
-            is_stopped = view.fault is not None or asked or may_reset
+            is_stopped = view.fault is not None or stops or may_reset
             card.set_visibility(is_stopped or bool(view.adapters))
             if answer is not None:
-                answer(asked, may_reset and not asked)
+                answer(stops, may_reset and not stops)
             heading.text = cause.text = remedy.text = ""
             if view.fault is not None:
                 heading.text, cause.text, remedy.text = fault_texts(view.fault, t)
             elif is_stopped:
-                heading.text = t("A person must look first.") if asked else t("Acknowledged.")
+                heading.text = t("A person must look first.") if stops else t("Acknowledged.")
             adapters.text = adapters_text(view.adapters, t)
 
         self._updates.append(update)
 
     def _acknowledgement(self) -> Callable[[bool, bool], None]:
-        """Fields and buttons after a fault; a function that shows those that are needed."""
+        """Fields and buttons after a fault; a function that shows the required ones."""
         t, visit = self._t, self._visit
         with ui.element("div").classes("flex flex-col gap-1"):
             with ui.element("div").classes("flex gap-4") as fields:
@@ -242,10 +242,10 @@ class _Live:
             outcome.text = t(WORDS.get(view.outcome, view.outcome))
             outcome.classes(replace=f"live-outcome {level}")
             why.text = t(view.reason)
-            figures.text = _joined(t, view.result)
+            figures.text = _figures_text(t, view.result)
             link.props(f'href="/cycle/{view.folder}"').set_visibility(bool(view.folder))
             counts = {WORDS.get(k, k): str(n) for k, n in view.counts.items()}
-            shift.text = f"{t('This shift')}: {_joined(t, {**counts, **view.shift})}"
+            shift.text = f"{t('This shift')}: {_figures_text(t, {**counts, **view.shift})}"
             unplanned.set_visibility(bool(view.shift) and "OEE" not in view.shift)
             trends.set_visibility(bool(view.newest))
             if view.newest != shown[0]:
@@ -282,8 +282,8 @@ class _Live:
         def update(view: LiveView) -> None:
             holder = visit.room.control.keep_alive(page)
             mine = holder is not None and holder.page == page
-            other = f"{holder.name} {t('has control.')}" if holder else t("Nobody has control.")
-            who.text = t("You have control.") if mine else other
+            text = f"{holder.name} {t('has control.')}" if holder else t("Nobody has control.")
+            who.text = t("You have control.") if mine else text
             take.set_visibility(not mine and (holder is None or holder.name == visit.name))
             release.set_visibility(mine)
             part.set_enabled(mine)
@@ -333,7 +333,7 @@ def _newest_picture(runs: Path, view: LiveView, t: Translate) -> tuple[str, str]
     return "", ""
 
 
-def _joined(t: Callable[[str], str], figures: Any) -> str:
+def _figures_text(t: Callable[[str], str], figures: Any) -> str:
     """Figures with their headings, in a line."""
     each = (f"{t(heading)} {t(text)}" for heading, text in figures.items())
     return " · ".join(words.replace(" ", "\u00a0") for words in each)

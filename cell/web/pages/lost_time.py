@@ -31,10 +31,10 @@ from cell.web.watching import WatchedState, read_ledger
 from cell.web.wording import Translate
 from cell.web.workspace import Workspace
 
-#: Candidates of the lab that are looked at, the newest.
+#: Number of the newest candidates of the lab that are examined.
 _CANDIDATES = 5
 _HEADS = 7
-#: Cycles of a cause that are linked, the newest.
+#: Number of the newest linked cycles of a cause.
 MOST_LINKS = 50
 
 
@@ -43,8 +43,8 @@ class LossRow:
     """One cause, as texts.
 
     width   of its bar, as a share of the largest
-    so_far  share of all lost time of this cause and those above it
-    links   name of a cycle's folder, and its words; the newest first
+    so_far  cumulative share of the lost time
+    links   name of a cycle's folder, and its text; the newest first
     """
 
     cause: str
@@ -86,7 +86,7 @@ def loss_rows(shifts: Sequence[ShiftLosses], t: Translate) -> list[LossRow]:
 
 
 def time_text(shifts: Sequence[ShiftLosses], t: Translate) -> str:
-    """Where the planned time went, in a language."""
+    """Text of the use of the planned time, in a language."""
     if not shifts:
         return t("The cell has not run.")
     planned = sum(minutes_in(s.planned) for s in shifts)
@@ -98,13 +98,13 @@ def time_text(shifts: Sequence[ShiftLosses], t: Translate) -> str:
     )
 
 
-def waits_now(seen: WatchedState, now_s: float) -> dict[str, float]:
-    """What the cell waits for now, and for how long, s: not in the ledger yet.
+def waits_now(state: WatchedState, now_s: float) -> dict[str, float]:
+    """Current waits of the cell by reason, s, which are not in the ledger yet.
 
     now_s  Unix time
     """
-    status = seen.status
-    if status is None or not seen.connected:
+    status = state.status
+    if status is None or not state.connected:
         return {}
     return dict.fromkeys(status.waiting_for[:1], now_s - status.since_s)
 
@@ -123,7 +123,7 @@ class LostTime:
                 heading(t("Lost time"))
                 days = {0: t("This shift"), 1: t("1 day"), 7: t("7 days")}
                 self._days = ui.toggle(days, value=0).props("no-caps data-test=lost-days")
-            self._said = ui.label().props("data-test=lost-said")
+            self._summary = ui.label().props("data-test=lost-said")
             self._table = ui.element("table").classes("plain-table")
             self._table.props("data-test=lost-time")
         self._days.on_value_change(self._refresh)
@@ -133,11 +133,11 @@ class LostTime:
         if not self._visit.has_role(Role.watch):
             ui.navigate.to("/login")
             return
-        found = await run.io_bound(losses_since, self._visit, int(self._days.value or 0))
-        if found is None:
+        result = await run.io_bound(losses_since, self._visit, int(self._days.value or 0))
+        if result is None:
             return
-        shifts, error = found
-        self._said.text = self._t(error) if error else time_text(shifts, self._t)
+        shifts, error = result
+        self._summary.text = self._t(error) if error else time_text(shifts, self._t)
         self._table.clear()
         rows, t = loss_rows(shifts, self._t), self._t
         heads = [t("Cause"), "", t("Minutes"), "%", t("Cumulative %"), t("Evidence"), t("Cycles")]
@@ -177,9 +177,9 @@ class LostTime:
 
 
 def losses_since(visit: Visit, days: int) -> tuple[list[ShiftLosses], str]:
-    """Losses of the line, and why there are none.
+    """Losses of the line, and an error if there are none.
 
-    days  0 = of the shift under way
+    days  0 = the current shift
     """
     settings, now = visit.room.settings, datetime.now(UTC)
     options = settings.ledger or LedgerSettings()
@@ -198,8 +198,8 @@ def losses_since(visit: Visit, days: int) -> tuple[list[ShiftLosses], str]:
             waits_now=waits_now(visit.room.watch.state, time.time()),
         )
 
-    found, error = read_ledger(settings, visit.room.runs, read)
-    return found or [], error
+    shifts, error = read_ledger(settings, visit.room.runs, read)
+    return shifts or [], error
 
 
 def _candidate(visit: Visit, ledger: Ledger) -> CandidateForecasts | None:
@@ -208,7 +208,7 @@ def _candidate(visit: Visit, ledger: Ledger) -> CandidateForecasts | None:
     for name in workspace.names(workspace.candidates, ".yaml")[:_CANDIDATES]:
         with suppress(InputError):
             path = workspace.candidates / f"{name}.yaml"
-            found = read_forecasts(path, visit.room.settings, ledger)
-            if found.counts:
-                return found
+            forecasts = read_forecasts(path, visit.room.settings, ledger)
+            if forecasts.counts:
+                return forecasts
     return None

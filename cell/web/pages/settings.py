@@ -24,7 +24,7 @@ _IN_FILE, _ALL = "", "*"
 
 @dataclass
 class _EntryRow:
-    """An entry on the page: where what is wrong with it is said."""
+    """An entry on the page, with the label of its error message."""
 
     entry: SettingsEntry
     box: ui.element
@@ -33,10 +33,10 @@ class _EntryRow:
 
 
 class EntryRows:
-    """The rows of one open page, and the fields that choose which are shown.
+    """The rows of one open page, and the fields that filter them.
 
-    entered  is told what was typed into an entry
-    chosen   is told when others are shown while something is wrong
+    entered  callback for a typed value
+    chosen   callback when the filter changes while there are errors
     """
 
     def __init__(
@@ -48,12 +48,12 @@ class EntryRows:
         self._t, self._entered, self._chosen = t, entered, chosen
         self._rows: dict[str, _EntryRow] = {}
         self._headings: dict[str, ui.label] = {}
-        self._asked_for: set[str] = set()
+        self._matching: set[str] = set()
         self._wrong: Sequence[tuple[str, str]] = ()
         self._choices = {_IN_FILE: t("What the file has"), _ALL: t("All entries")}
 
     def build_fields(self) -> None:
-        """Make the fields that choose."""
+        """Make the fields of the filter."""
         t = self._t
         with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
             self._section = ui.select(self._choices, value=_IN_FILE, label=t("Section"))
@@ -63,11 +63,11 @@ class EntryRows:
                 field.classes("w-full").on_value_change(self._choose)
 
     def build_rows(self) -> None:
-        """Make the place of the rows."""
+        """Make the container of the rows."""
         self.place = ui.column().classes("w-full gap-2")
 
     def fill(self, draft: Draft) -> None:
-        """Make the rows anew, for the draft has other entries; show those that are asked for."""
+        """Rebuild the rows for changed entries of the draft; show those that match the filter."""
         self._draft = draft
         self.place.clear()
         self._rows.clear()
@@ -85,10 +85,10 @@ class EntryRows:
             self._rule = ui.html(self._hiding(), sanitize=False)  # ids of elements, nobody's text
 
     def _choose(self) -> None:
-        """Show the entries that are asked for; what is typed in the others stays.
+        """Show the entries that match the filter; typed values in the others stay.
 
-        One rule of style hides the others, and the browser is told nothing else: for every change
-        of an element it goes through all of them, which takes some tenths of a second.
+        One style rule hides the others: changes of single elements would each make the browser
+        process all of them, which takes some tenths of a second.
         """
         text = json.dumps(self._hiding())
         ui.run_javascript(f"document.getElementById('{self._rule.html_id}').innerHTML = {text}")
@@ -96,27 +96,27 @@ class EntryRows:
             self._chosen()
 
     def _hiding(self) -> str:
-        """Find what is asked for: the rule that hides the rest."""
-        self._asked_for = {n for n, row in self._rows.items() if self._matches_search(row.entry)}
-        headed = {self._rows[name].entry.key[0] for name in self._asked_for}
-        away = [row.box for name, row in self._rows.items() if name not in self._asked_for]
+        """Apply the filter: the style rule that hides the rest."""
+        self._matching = {n for n, row in self._rows.items() if self._matches_search(row.entry)}
+        headed = {self._rows[name].entry.key[0] for name in self._matching}
+        away = [row.box for name, row in self._rows.items() if name not in self._matching]
         away += [h for section, h in self._headings.items() if section not in headed]
         away += [self._none] if headed else []
         return f"<style>{', '.join(f'#{e.html_id}' for e in away)} {{display: none}}</style>"
 
     def _matches_search(self, entry: SettingsEntry) -> bool:
-        """Whether an entry is of the section, or, if something is searched, has all its words."""
+        """Whether an entry has all words of the search, or without one is of the section."""
         words = (self._search.value or "").lower().split()
         if words:
-            said = f"{entry.name} {self._t(entry.explained)} {entry.unit}".lower()
-            return all(w in said for w in words)
+            text = f"{entry.name} {self._t(entry.explained)} {entry.unit}".lower()
+            return all(w in text for w in words)
         there = entry.given or entry.key in self._draft.changes or entry.key[-1] == "kind"
         section = self._section.value
         return section in (_ALL, entry.key[0]) or (section == _IN_FILE and there)
 
     def _row(self, entry: SettingsEntry) -> _EntryRow:
         t = self._t
-        given = entry.given or entry.key in self._draft.changes
+        present = entry.given or entry.key in self._draft.changes
         box = ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-x-6 entry")
         with box:
             if entry.form is SettingsForm.CHOSEN:
@@ -126,7 +126,7 @@ class EntryRows:
                 field: ui.input | ui.select = ui.select(choices, label=entry.name, value=value)
                 field.props("stack-label")
             else:
-                field = ui.input(entry.name, value=entry.shown(entry.value) if given else "")
+                field = ui.input(entry.name, value=entry.shown(entry.value) if present else "")
                 field.props("stack-label debounce=300 maxlength=20000 autocomplete=off")
                 field.props["placeholder"] = entry.shown(entry.default)
                 field.props["suffix"] = entry.unit
@@ -134,10 +134,10 @@ class EntryRows:
             with ui.element("div").classes("flex flex-col"):
                 ui.label(t(entry.explained))
                 ui.label(self._limits(entry)).classes("text-sm quiet")
-                said = ui.label().classes("break-words wrong").props("aria-live=polite")
-                said.props(f'data-test="{entry.name}:said"')
+                message = ui.label().classes("break-words wrong").props("aria-live=polite")
+                message.props(f'data-test="{entry.name}:said"')
         field.on_value_change(lambda e: self._entered(entry, str(e.value or "")))
-        return _EntryRow(entry, box, said, field)
+        return _EntryRow(entry, box, message, field)
 
     def _limits(self, entry: SettingsEntry) -> str:
         t = self._t
@@ -145,31 +145,31 @@ class EntryRows:
         default = f"{t('default')} {usual}" if usual else t("must be given")
         return "; ".join(filter(None, (entry.limits, default)))
 
-    def show_problems(self, found: Sequence[tuple[str, str]]) -> list[str]:
-        """Say what is wrong beside the entries that are shown.
+    def show_problems(self, problems: Sequence[tuple[str, str]]) -> list[str]:
+        """Show problems next to the entries that match the filter.
 
-        found    dotted key, "" = the file, and what is wrong
-        returns  what is wrong elsewhere, a sentence each
+        problems  dotted key, "" = the file, and message
+        returns   sentences on problems elsewhere
         """
-        self._wrong, elsewhere = found, []
-        shown = [name for name in self._rows if name in self._asked_for]
-        beside: dict[str, list[str]] = {}
-        for key, said in found:
+        self._wrong, elsewhere = problems, []
+        shown = [name for name in self._rows if name in self._matching]
+        messages: dict[str, list[str]] = {}
+        for key, message in problems:
             place = next((n for n in shown if n == key), "")
             place = place or next((n for n in shown if key.startswith(f"{n}[")), "")
             if place:
-                beside.setdefault(place, []).append(said)
+                messages.setdefault(place, []).append(message)
             else:
-                elsewhere.append(f"{key}: {said}" if key else said)
+                elsewhere.append(f"{key}: {message}" if key else message)
         for name, row in self._rows.items():
-            row.message.text = "\n".join(beside.get(name, ()))
-            wrong = name in beside
-            if wrong != ("error" in row.field.props):  # the others need not be told
+            row.message.text = "\n".join(messages.get(name, ()))
+            wrong = name in messages
+            if wrong != ("error" in row.field.props):  # the others are unchanged
                 row.field.props("error") if wrong else row.field.props(remove="error")
         return elsewhere
 
 
-#: So many earlier versions are offered.
+#: Number of earlier versions that are offered.
 _VERSIONS = 50
 
 
@@ -197,7 +197,7 @@ class _SettingsPage:
         self._rows = EntryRows(visit.t, self._entered, self._show_problems)
         self._unsaved = Unsaved("settings")
         self._shown = 0
-        self._found: Sequence[tuple[str, str]] = ()
+        self._problems: Sequence[tuple[str, str]] = ()
 
     def build(self) -> None:
         """Make the elements."""
@@ -234,23 +234,23 @@ class _SettingsPage:
             await self._check()
 
     async def _check(self) -> None:
-        """Say what `cell check` says, beside the entries; an older answer is left out."""
+        """Show the problems of `cell check` next to the entries; outdated results are dropped."""
         self._shown += 1
         number = self._shown
-        found = await run.io_bound(self._draft.problems)
-        if found is None or number != self._shown:
+        problems = await run.io_bound(self._draft.problems)
+        if problems is None or number != self._shown:
             return
-        self._found = found
+        self._problems = problems
         self._show_problems()
-        if not found:
+        if not problems:
             self._general.text = "\n".join(await run.io_bound(self._draft.oddities) or ())
 
     def _show_problems(self) -> None:
-        """Say what was found wrong, beside the entries that are shown or above all."""
+        """Show the problems next to the visible entries, or above all."""
         t, changed = self._t, len(self._draft.changes)
-        self._general.text = "\n".join(self._rows.show_problems(self._found))
+        self._general.text = "\n".join(self._rows.show_problems(self._problems))
         self._state.text = f"{t('Changes')}: {changed}. " + (
-            t("The settings are wrong.") if self._found else t("The settings are right.")
+            t("The settings are wrong.") if self._problems else t("The settings are right.")
         )
         is_typed = bool(changed or self._draft.unreadable)
         self._discard.set_enabled(is_typed)
@@ -276,7 +276,7 @@ class _SettingsPage:
         self._confirm(draft.base, draft.text, draft.summary())
 
     def _confirm(self, before: str, after: str, summary: str) -> None:
-        """Show differences, and write if a person says so."""
+        """Show differences, and write after a person's confirmation."""
         t = self._t
         with ui.dialog() as dialog, ui.card().classes("w-full max-w-4xl"):
             heading(t("Differences"))
@@ -355,18 +355,18 @@ class _SettingsPage:
     def _earlier(self) -> None:
         """Earlier versions of the file, each of which can be written again."""
         t, config = self._t, self._draft.config
-        kept = versions(config)[:_VERSIONS]
-        if not kept:
+        saved = versions(config)[:_VERSIONS]
+        if not saved:
             return
         with ui.card().classes("w-full"):
             heading(t("Earlier versions"))
-            names = {str(p): _version(p) for p in kept}
-            chosen = ui.select(names, value=str(kept[0]), label=t("Replaced at"))
+            names = {str(p): _version(p) for p in saved}
+            chosen = ui.select(names, value=str(saved[0]), label=t("Replaced at"))
             chosen.classes("w-full")
 
             def back() -> None:
                 file = Path(str(chosen.value))
-                if file not in kept or not self._allowed():
+                if file not in saved or not self._allowed():
                     return
                 try:
                     present, former = read_exactly(config), read_exactly(file)

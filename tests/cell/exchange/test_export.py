@@ -14,9 +14,9 @@ from cell.exchange.chain import (
     chain_of,
     expressible,
     law,
+    physical,
     resting_bends,
     springs_for,
-    unseen,
 )
 from cell.exchange.description import description
 from cell.exchange.export import SHARE, export_parts, export_to_mujoco
@@ -219,7 +219,7 @@ def test_a_users_own_effect_counts_by_its_hooks(flat_model):
 
 def test_only_the_cameras_effects_are_unseen(flat_model):
     effects = tuple(ALL[n].active() for n in ("camera_latency", "bending_hysteresis"))
-    seen = unseen(replace(flat_model().model, effects=effects))
+    seen = physical(replace(flat_model().model, effects=effects))
     assert [a.effect.name for a in seen.effects] == ["bending_hysteresis"]
 
 

@@ -282,9 +282,9 @@ def test_no_button_takes_the_place_of_its_opposite(
 ) -> None:
     """Who pressed Hold twice could press Continue, which came where Hold had been."""
     served.room.client.heard_s = float("inf")
-    served.room.watch._seen = WatchedState(Status("run", 1, state, 0.0, possible=possible), True)
+    served.room.watch._state = WatchedState(Status("run", 1, state, 0.0, possible=possible), True)
     shown = served.web.get("/", headers=served.log_in("operate")).text
-    served.room.watch._seen = WatchedState()
+    served.room.watch._state = WatchedState()
     for button in ("hold", "unhold"):
         (classes,) = re.findall(rf'"class":(\[[^]]*\])[^[]*"data-test":"{button}"', shown)
         assert json.loads(classes) == ["big-button"], f"{button} is hidden"

@@ -101,7 +101,7 @@ def test_a_run_that_diverges_has_an_infinite_error(monkeypatch: pytest.MonkeyPat
     exact = run()
     monkeypatch.setattr("tools.bench.rod_entrants.simulate", diverged)
     assert tip_error(run(), exact) == inf
-    assert isnan(benchmark.kept(run(), task))
+    assert isnan(benchmark.energy_ratio(run(), task))
 
 
 def test_a_gradient_has_a_lane_for_each_parameter() -> None:

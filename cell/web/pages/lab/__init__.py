@@ -24,10 +24,10 @@ def build(visit: Visit) -> None:
     """Fill the page."""
     t, desk = visit.t, Desk(visit)
     request = ui.context.client.request
-    given = request.query_params if request is not None else {}
-    tab = given.get("tab", "")
+    parameters = request.query_params if request is not None else {}
+    tab = parameters.get("tab", "")
     opened = tab if tab in {name for name, *_ in _TABS} else "study"
-    desk.subject = desk.find(given.get("study", "")) or _newest(desk)
+    desk.subject = desk.find(parameters.get("study", "")) or _newest(desk)
     with ui.row().classes("items-center w-full gap-4"):
         ui.label(t("Lab")).classes("text-2xl").props("role=heading aria-level=1")
         study.chooser(desk)
@@ -49,7 +49,7 @@ def build(visit: Visit) -> None:
 
 
 def _newest(desk: Desk) -> Subject | None:
-    """The study that is worked on, else the newest one."""
+    """The study of the newest job, else the newest study."""
     jobs = [j.task.subject for j in desk.lab.jobs.listed()]
     names = (*jobs, *desk.workspace.names(desk.workspace.studies))
     return next((s for name in names if (s := desk.find(name)) is not None), None)

@@ -49,8 +49,8 @@ class ModelsPanel:
         self._needs_study.refresh()
         set_names(self._effects, [*self._desk.own_effects(), *library()])
         models = self._desk.models()
-        kept = [m for m in self._models.value or [] if m in models]
-        self._models.set_options(models, value=kept or models)
+        selected = [m for m in self._models.value or [] if m in models]
+        self._models.set_options(models, value=selected or models)
         await self._shown.refresh()
 
     def _fit(self) -> None:
@@ -76,16 +76,16 @@ class ComparePanel:
 
     def __init__(self, desk: Desk, name: str) -> None:
         self._desk, self._t, self._file = desk, desk.t, name
-        self._seen: tuple[Path, int] | None = None
+        self._displayed: tuple[Path, int] | None = None
         self._place = ui.column().classes("w-full gap-4").props(f"data-test=shown-{name}")
 
     async def refresh(self) -> None:
-        """Show it as it is on the disk now."""
+        """Show its present state on the disk."""
         path = self._desk.result(f"{self._file}.json")
-        seen = None if path is None or not path.exists() else (path, path.stat().st_mtime_ns)
-        if seen == self._seen:
+        stamp = None if path is None or not path.exists() else (path, path.stat().st_mtime_ns)
+        if stamp == self._displayed:
             return
-        self._seen = seen
+        self._displayed = stamp
         data = None if path is None else await run.io_bound(read_result, path)
         self._place.clear()
         if data is not None:

@@ -18,7 +18,7 @@ from cell.web.theme import N_, notify_refusal
 from cell.web.visit import Visit, do
 from cell.web.workspace import is_name
 
-#: What a part of the page does when a study was chosen, or a job has ended.
+#: Callback of a part of the page when a study was chosen, or a job has ended.
 Listener = Callable[[], Awaitable[None]]
 
 
@@ -36,39 +36,39 @@ class Desk:
         theme = "" if request is None else request.cookies.get("theme", "")
         self._dark = theme == "dark"
         self._asks_browser = theme not in ("dark", "light")
-        self.asked: Callable[[], None] = lambda: None
+        self.submitted: Callable[[], None] = lambda: None
         self._listeners: list[Listener] = []
 
     def listen(self, listener: Listener) -> None:
-        """Have a part brought up to date whenever something has changed."""
+        """Register a callback of a part for changes."""
         self._listeners.append(listener)
 
     async def changed(self) -> None:
-        """A study was chosen, or a job has ended."""
+        """Notify all parts: a study was chosen, or a job has ended."""
         if self._made_next and (made := self.find(self._made_next)) is not None:
             self.subject, self._made_next = made, ""
         for listener in self._listeners:
             await listener()
 
     def choose_when_made(self, name: str) -> None:
-        """Work on the study of this name once a job has made it; one that fails makes none."""
+        """Choose the study of this name once a job has made it, if it succeeds."""
         self._made_next = name
 
     async def begin(self) -> None:
-        """Fill the parts, once the browser is there."""
+        """Fill the parts, once the browser is connected."""
         if self._asks_browser:
-            asked = "window.matchMedia('(prefers-color-scheme: dark)').matches"
+            query = "window.matchMedia('(prefers-color-scheme: dark)').matches"
             with suppress(TimeoutError):
-                self._dark = bool(await ui.run_javascript(f"return {asked}", timeout=3.0))
+                self._dark = bool(await ui.run_javascript(f"return {query}", timeout=3.0))
         await self.changed()
 
     @property
     def editor_theme(self) -> Any:
-        """Theme of an editor, as the page's."""
+        """Theme of an editor, equal to the page's."""
         return "vscodeDark" if self._dark else "vscodeLight"
 
     async def choose(self, name: str) -> None:
-        """Work on the study, or the recorded cycle, of this name."""
+        """Choose the study, or the recorded cycle, of this name."""
         self.subject, self._made_next = self.find(name), ""
         if self.subject is not None:
             ui.navigate.history.replace(f"/lab?study={name}")
@@ -85,7 +85,7 @@ class Desk:
         return None if cycle is None else Subject(name, cycle, True)
 
     def ask(self, task: JobTask, asked_s: float | None = None) -> bool:
-        """Put a job in the queue, audited; whether it was taken.
+        """Put a job in the queue, with an audit entry; whether it was accepted.
 
         asked_s  of a job that moves the arm, as of `Visit.do`
         """
@@ -99,74 +99,74 @@ class Desk:
 
         words = task.typed.splitlines()[-1]
         refused = visit.do(f"lab {task.title.lower()}", Role.engineer, act, words, asked_s=asked_s)
-        self.asked()
+        self.submitted()
         self.notify_refusal(refused)
         return not refused
 
     async def run_promotion(self, words: Sequence[str]) -> bool:
-        """Run a promotion, audited with its true result; whether it was done."""
-        said: list[str] = []
+        """Run a promotion, with an audit entry of its result; whether it succeeded."""
+        messages: list[str] = []
 
         def act() -> str:
             ran = self.lab.promoted(words)
-            said.append(ran.printed.strip())
+            messages.append(ran.printed.strip())
             return "" if ran.code == 0 else ran.output.strip() or "it took too long"
 
         typed = shlex.join(["cell", *words])
         done = await do(self.visit, f"lab {words[0]}", Role.engineer, act, typed)
-        if done and said:
-            ui.notify(said[0], type="positive", multi_line=True, close_button=self.t("Close"))
+        if done and messages:
+            ui.notify(messages[0], type="positive", multi_line=True, close_button=self.t("Close"))
         return done
 
     def notify_refusal(self, refused: str | None) -> None:
-        """Say why something was not done."""
+        """Show the reason of a refusal."""
         notify_refusal(refused, self.t)
 
     def subject_or_refusal(self) -> Subject | None:
-        """The study chosen; without one a person is told to choose one."""
+        """The chosen study; without one, show a request to choose one."""
         if self.subject is None:
             self.notify_refusal("Choose a study first.")
         return self.subject
 
     def result(self, file: str) -> Path | None:
-        """A file of results of the study chosen; None = no study is."""
+        """A file of results of the chosen study; None = no study is chosen."""
         return None if self.subject is None else self.workspace.results(self.subject.name) / file
 
     def models(self) -> list[str]:
-        """Models that were fitted to the study chosen, the oldest first."""
+        """Models fitted to the chosen study, the oldest first."""
         folder = self.result("models")
         return [] if folder is None else self.workspace.names(folder, ".json")[::-1]
 
     def own_effects(self) -> list[str]:
-        """Names of effects that were typed."""
+        """Names of the typed effects."""
         return self.workspace.names(self.workspace.effects, ".py")
 
     def effect_file(self, name: str) -> str:
-        """What is given to a command for the name of an effect, of the library or typed."""
+        """Argument of a command for an effect: name in the library, or file of a typed one."""
         path = self.workspace.effects / f"{name}.py"
         return str(path) if path.exists() else name
 
 
 def set_names(choice: ui.select, names: Sequence[str]) -> None:
-    """Offer these names in a choice of several; those that were chosen stay so."""
+    """Set the options of a multiple choice, without a change of the selection."""
     choice.set_options(list(names), value=[n for n in choice.value or [] if n in names])
 
 
 class NeedsStudy:
-    """Buttons that are disabled without a study, and the sentence that says why."""
+    """Buttons that are disabled without a study, and the sentence with the reason."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self._buttons: list[ui.button] = []
 
     def of(self, *buttons: ui.button) -> None:
-        """Take these buttons, and put the sentence after them."""
+        """Register these buttons, and put the sentence after them."""
         self._buttons += buttons
         self._why = ui.label().classes("quiet").props("data-test=needs-study")
         self.refresh()
 
     def refresh(self) -> None:
-        """Bring them up to date."""
+        """Update buttons and sentence."""
         t, subject = self._desk.t, self._desk.subject
         is_ready = subject is not None and not subject.to_import
         why = t(N_("Make the study first.")) if subject else t(N_("Choose a study first."))
@@ -176,7 +176,7 @@ class NeedsStudy:
 
 
 def frame(desk: Desk, page: str, title: str, path: Path, *, opened: bool = False) -> None:
-    """A page that a command wrote, in a frame that may run nothing of this page's."""
+    """A page that a command wrote, in a sandboxed frame."""
     subject = desk.subject
     if subject is None or not path.is_file():
         return
@@ -199,14 +199,14 @@ def frame(desk: Desk, page: str, title: str, path: Path, *, opened: bool = False
 
 
 def output(title: str, log: Path | None) -> None:
-    """Folded element with what a command printed."""
+    """Folded element with the output of a command."""
     if log is not None and log.is_file():
         with ui.expansion(title, icon="terminal").classes("w-full"):
             printed(log)
 
 
 def printed(log: Path | None) -> None:
-    """Text that a command printed."""
+    """Output of a command."""
     text = ui.label("\n".join(_lines(log)))
     text.classes("whitespace-pre font-mono text-xs overflow-x-auto w-full")
 
@@ -214,12 +214,12 @@ def printed(log: Path | None) -> None:
 def first_lines(log: Path | None) -> list[str]:
     """The sentences with which a command's output begins, before its first table."""
     lines = _lines(log)
-    told: list[str] = []
+    head: list[str] = []
     for line in lines[:6]:
         if not line.strip() or line.startswith("   "):
             break
-        told.append(line)
-    return told
+        head.append(line)
+    return head
 
 
 def notes_after_tables(log: Path | None, heads: Sequence[str]) -> list[str]:

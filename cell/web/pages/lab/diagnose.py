@@ -52,7 +52,7 @@ class DiagnosePanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-        self._seen: tuple[object, ...] = ()
+        self._displayed: tuple[object, ...] = ()
         self._needs_study = NeedsStudy(desk)
 
     def build(self) -> None:
@@ -99,10 +99,10 @@ class DiagnosePanel:
         set_names(self._known, [*own, *library()])
         names = ("diagnosis.json", "motion.yaml", "suggest.txt")
         files = [p for name in names if (p := self._desk.result(name)) is not None]
-        seen = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
-        if seen == self._seen:
+        stamps = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
+        if stamps == self._displayed:
             return
-        self._seen = seen
+        self._displayed = stamps
         data = await run.io_bound(read_result, files[0]) if files else None
         self._place.clear()
         with self._place:
@@ -162,7 +162,7 @@ class DiagnosePanel:
             table.add_slot("body-cell-question", _LINKED.replace("ENTRY", entry))
 
     def _motion(self, motion: Path) -> None:
-        """The motion suggested, and the command that measures a cable with it."""
+        """The suggested motion, and the command that measures a cable with it."""
         desk, t = self._desk, self._t
         with ui.card().classes("w-full").props("data-test=motion"):
             heading(t("The next motion"))
@@ -176,7 +176,7 @@ class DiagnosePanel:
                 ui.label(t("Then gather both cycles into a study, and diagnose it."))
 
     def _measuring(self, task: JobTask) -> None:
-        """A button that has the cell measure, once somebody has said that all is ready."""
+        """A button that starts a measurement after a person's confirmation."""
         desk, t = self._desk, self._t
         with ui.dialog() as dialog, ui.card():
             ui.label(t("The gripper grips a cable and moves. Stay beside it, clear of its way."))

@@ -1,4 +1,4 @@
-"""From the lab to the line: learn of many cables, candidates side by side, promote and undo."""
+"""From the lab to the line: learn from many cables, compare candidates, promote and undo."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cell.web.pages.lab.desk import Desk, first_lines, output, set_names
 from cell.web.theme import BLUE, confirmed, heading
 from cell.web.workspace import is_name
 
-#: So many candidates are shown beside each other, the newest.
+#: Number of candidates that are shown side by side, the newest.
 _SHOWN = 4
 
 
@@ -24,7 +24,7 @@ class LinePanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-        self._seen: tuple[object, ...] = (None,)
+        self._displayed: tuple[object, ...] = (None,)
 
     def build(self) -> None:
         """Make the elements."""
@@ -75,17 +75,17 @@ class LinePanel:
         paths = {name: folder / f"{name}.yaml" for name in names[:_SHOWN]}
         logs = [folder / f"{n}.txt" for n in desk.workspace.names(folder, ".txt")[:_SHOWN]]
         files = (*paths.values(), *logs, desk.visit.room.config)
-        seen = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
-        if seen == self._seen:
+        stamps = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
+        if stamps == self._displayed:
             return
-        self._seen = seen
+        self._displayed = stamps
         self._model.text = await run.io_bound(model_text, desk.visit.room.config) or ""
         self._undo_button.set_enabled(former_models(desk.visit.room.config) > 0)
-        found = await run.io_bound(candidate_table, paths, self._t)
+        table = await run.io_bound(candidate_table, paths, self._t)
         self._place.clear()
         with self._place:
-            if paths and found is not None:
-                self._candidates(list(paths), *found)
+            if paths and table is not None:
+                self._candidates(list(paths), *table)
             else:
                 ui.label(self._t("There is no candidate yet."))
             for log in logs:
@@ -118,13 +118,13 @@ class LinePanel:
 
 
 def former_models(config: Path) -> int:
-    """How many promotions can be undone."""
-    found = history_of(config.resolve()).glob("*.yaml")
-    return sum(".undone." not in path.name for path in found)
+    """Number of promotions that can be undone."""
+    files = history_of(config.resolve()).glob("*.yaml")
+    return sum(".undone." not in path.name for path in files)
 
 
 def model_text(config: Path) -> str:
-    """The section `model` of the settings as the file has it, and how often it was changed."""
+    """Text of the section `model` in the settings' file, and the number of its changes."""
     try:
         section = section_of(config, config.read_text(encoding="utf-8"))
         count = former_models(config)

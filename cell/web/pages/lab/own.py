@@ -1,4 +1,4 @@
-"""An effect of one's own: typed, checked while it is typed, fitted with one click."""
+"""A user's own effect: typed, checked while it is typed, fitted with one click."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cell.web.pages.lab.desk import Desk, NeedsStudy, output, set_names
 from cell.web.theme import BLUE, Unsaved, heading
 from cell.web.visit import do
 
-#: A text is checked when nothing was typed for so long, s.
+#: Pause in typing after which a text is checked, s.
 _PAUSE_S = 0.5
 _NAMED = re.compile(r"^\s+name\s*=\s*[\"'](\w+)[\"']", re.MULTILINE)
 _LINE = re.compile(r"\.py:(\d+)\b")
@@ -54,7 +54,7 @@ class OwnEffectPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
         self._typed = 0
-        self._kept = TEMPLATE
+        self._saved_text = TEMPLATE
         self._unsaved = Unsaved("effect")
         self._needs_study = NeedsStudy(desk)
 
@@ -76,8 +76,8 @@ class OwnEffectPanel:
             self._editor.props("data-test=editor")
             with ui.row().classes("items-start no-wrap w-full gap-2"):
                 self._icon = ui.icon("edit").classes("text-2xl")
-                self._said = ui.label().classes("whitespace-pre-line break-words")
-                self._said.props("role=status data-test=checked")
+                self._check_output = ui.label().classes("whitespace-pre-line break-words")
+                self._check_output.props("role=status data-test=checked")
             ui.label(t("A law may only compute: math, numpy, and what an effect is made of."))
             with ui.row().classes("items-center w-full gap-4"):
                 self._shared = ui.select([], label=t("Also in both models"), multiple=True)
@@ -106,7 +106,7 @@ class OwnEffectPanel:
         await self._shown.refresh()
 
     def _fitted_lines(self) -> list[str]:
-        """Parameters of the effect that was fitted last."""
+        """Parameters of the last fitted effect."""
         desk = self._desk
         path = desk.result("own.json")
         compared = None if path is None else read_result(path)
@@ -118,18 +118,18 @@ class OwnEffectPanel:
 
     def _template(self) -> None:
         self._saved.value = None
-        self._kept = self._editor.value = TEMPLATE
+        self._saved_text = self._editor.value = TEMPLATE
 
     def _open(self, event: Any) -> None:
         path = self._desk.workspace.effects / f"{event.value}.py"
         if event.value in self._desk.own_effects():
             try:
-                self._kept = self._editor.value = path.read_text(encoding="utf-8")
+                self._saved_text = self._editor.value = path.read_text(encoding="utf-8")
             except (OSError, ValueError) as error:
                 self._desk.notify_refusal(str(error))
 
     async def _changed(self) -> None:
-        self._unsaved.set(self._editor.value != self._kept)
+        self._unsaved.set(self._editor.value != self._saved_text)
         self._typed += 1
         typed = self._typed
         await asyncio.sleep(_PAUSE_S)
@@ -137,7 +137,7 @@ class OwnEffectPanel:
             await self._check()
 
     async def _check(self) -> CheckedFile | None:
-        """Check what is typed now; None = something else was typed meanwhile."""
+        """Check the current text; None = it has changed meanwhile."""
         desk, typed, text = self._desk, self._typed, str(self._editor.value)
         if not desk.visit.has_role(Role.engineer):
             desk.notify_refusal(desk.visit.do("lab check", Role.engineer, str))
@@ -149,8 +149,8 @@ class OwnEffectPanel:
         self._icon.props(f"name={'check_circle' if checked.good else 'error'}")
         self._icon.style(f"color: {'#2c9e4b' if checked.good else '#d64545'}")
         right = f"{self._t('The effect is right.')} {checked.law}"
-        self._said.text = right if checked.good else "\n".join(checked.output)
-        lines = {int(n) for said in checked.output for n in _LINE.findall(said)}
+        self._check_output.text = right if checked.good else "\n".join(checked.output)
+        lines = {int(n) for line in checked.output for n in _LINE.findall(line)}
         count = len(text.splitlines())
         self._editor.decorations = [
             {"kind": "line", "line": n, "class": "wrong-line"} for n in lines if 0 < n <= count
@@ -170,20 +170,20 @@ class OwnEffectPanel:
         name = named(text)
         save = partial(desk.lab.save_effect, name, text)
         if await do(desk.visit, "lab effect", Role.engineer, save, f"{name}.py"):
-            self._kept = text
+            self._saved_text = text
             self._unsaved.set(self._editor.value != text)
             shared = [desk.effect_file(str(b)) for b in self._shared.value or [] if b != name]
             desk.ask(desk.tasks.fit_own(subject, name, shared))
             await desk.changed()
 
 
-def free_name(taken: Sequence[str]) -> str:
-    """Name of an effect that is not taken: discovered, discovered_2, …"""
+def free_name(used: Sequence[str]) -> str:
+    """Unused name for an effect: discovered, discovered_2, …"""
     numbers = (f"discovered_{n}" for n in range(2, 10_000))
-    return next(n for n in ("discovered", *numbers) if n not in taken)
+    return next(n for n in ("discovered", *numbers) if n not in used)
 
 
 def named(text: str) -> str:
     """Name of the effect in a text, which is also its file's; `my_effect` if there is none."""
-    found = _NAMED.search(text)
-    return "my_effect" if found is None else found[1]
+    matched = _NAMED.search(text)
+    return "my_effect" if matched is None else matched[1]

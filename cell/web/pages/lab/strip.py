@@ -21,7 +21,7 @@ _WORDS = {
     JobState.FAILED: (N_("ended with an error"), "error", RED),
     JobState.CANCELLED: (N_("cancelled"), "cancel", AMBER),
 }
-#: So many jobs are shown, open ones first; of a failed one so many lines.
+#: Number of jobs that are shown, open ones first; number of lines of a failed one.
 _SHOWN, _LINES = 4, 12
 
 
@@ -39,7 +39,7 @@ class Strip:
             self._card.props("data-test=jobs role=status")
             self._rows = [_StripRow(self._desk) for _ in range(_SHOWN)]
         ui.timer(_EVERY_S, self._update)
-        self._desk.asked = self._show
+        self._desk.submitted = self._show
         self._show()
 
     async def _update(self) -> None:
@@ -82,8 +82,8 @@ class _StripRow:
                 self._cancel.props("outline dense data-test=cancel")
             self._bar = ui.linear_progress(0.0, show_value=False, size="6px")
             self._errors = chart({}, "h-56").props("data-test=fit-errors")
-            self._said = ui.label().classes("whitespace-pre-line break-words text-sm")
-            self._said.props("data-test=said")
+            self._output = ui.label().classes("whitespace-pre-line break-words text-sm")
+            self._output.props("data-test=said")
             self._typed = ui.label().classes("font-mono text-xs break-all opacity-70 select-all")
 
     def show(self, job: Job | None) -> None:
@@ -108,12 +108,12 @@ class _StripRow:
         if len(job.errors) > 1 and self._drawn != (job.number, len(job.errors)):
             self._drawn = job.number, len(job.errors)
             show_option(self._errors, falling_errors(job.errors, t))
-        self._said.text = "\n".join(job.output[-_LINES:])
-        self._said.set_visibility(bool(job.output))
+        self._output.text = "\n".join(job.output[-_LINES:])
+        self._output.set_visibility(bool(job.output))
         self._typed.text = job.task.typed.splitlines()[min(job.step, steps - 1)]
 
     def _cancelled(self) -> None:
         desk, number = self._desk, self._number
         cancel = partial(desk.lab.jobs.cancel, number)
         desk.notify_refusal(desk.visit.do("lab cancel", Role.engineer, cancel, str(number)))
-        desk.asked()
+        desk.submitted()

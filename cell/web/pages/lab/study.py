@@ -59,7 +59,7 @@ def drop_zone(desk: Desk, uploaded: Callable[[dict[str, Any]], Awaitable[None]])
 
 #: Name of the example's study.
 _EXAMPLE = "example"
-#: Ways to begin without a study: name, title, what it takes, word and icon of the button.
+#: Ways to begin without a study: name, title, description, label and icon of the button.
 _WAYS = (
     (
         "cycles",
@@ -83,11 +83,11 @@ _WAYS = (
         "science",
     ),
 )
-#: The newest cycles are offered, so many.
+#: Number of the newest cycles that are offered.
 _MOST_CYCLES = 200
-#: How the line ends that names the page of pictures, which is shown.
+#: End of the line with the page of pictures, which is shown instead.
 _PICTURES = "pictures of every trial"
-#: What files do not hold: option of `cell import`, what it is, unit, its size in SI units.
+#: Data that files lack: option of `cell import`, description, unit, its size in SI units.
 _ENTRIES = (
     ("--free-length", N_("Free length"), "mm", 1e-3),
     ("--line-density", N_("Mass per length"), "g/m", 1e-3),
@@ -141,7 +141,7 @@ class StudyPanel:
         self._desk.listen(self._refresh)
 
     def _ways(self) -> None:
-        """What one can begin with while there is no study, and what each takes."""
+        """Ways to begin while there is no study, with descriptions."""
         t = self._t
         heading(t("Begin with"))
         with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-3 gap-4"):
@@ -163,7 +163,7 @@ class StudyPanel:
             self._desk.choose_when_made(_EXAMPLE)
 
     async def _uploaded(self, answer: dict[str, Any]) -> None:
-        name = str(answer["name"])  # as a browser says: only what is there counts
+        name = str(answer["name"])  # sent by a browser: only an existing name counts
         if answer.get("is_study"):
             await self._desk.choose(name)
         elif files := self._desk.workspace.uploaded(name):
@@ -183,9 +183,9 @@ class StudyPanel:
                 self._mapping(subject)
                 return
             log = desk.result("look.txt")
-            said = notes_after_tables(log, ("Odd:", "To be mended:", "Nothing is odd."))
-            told = ui.label("\n".join(line for line in said if not line.endswith(_PICTURES)))
-            told.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
+            lines = notes_after_tables(log, ("Odd:", "To be mended:", "Nothing is odd."))
+            label = ui.label("\n".join(line for line in lines if not line.endswith(_PICTURES)))
+            label.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
             output(self._t("As the command prints it"), log)
             page = desk.result("look.html")
             if page is not None:
@@ -219,7 +219,7 @@ class StudyPanel:
 
 
 class _ImportForm:
-    """What is stated of uploaded tables before a mapping is proposed."""
+    """Form for data of uploaded tables, before a mapping is proposed."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, t = desk, desk.t
@@ -240,14 +240,14 @@ class _ImportForm:
         self._place.set_visibility(False)
 
     def show(self, upload: str, files: list[str]) -> None:
-        """Ask about the files of an upload."""
+        """Show the form for the files of an upload."""
         self._upload, self._files = upload, files
         self._what.text = f"{upload}: {', '.join(files[:10])}{' …' if len(files) > 10 else ''}"
         self._logs.set_options(files, value=[])
         self._place.set_visibility(True)
 
     def hide_if_made(self, study: str) -> None:
-        """Ask no more about files of which there is a study."""
+        """Hide the form once the study of its files exists."""
         if study == self._upload:
             self._place.set_visibility(False)
 
@@ -260,22 +260,22 @@ class _ImportForm:
             if entry.value
         }
         task = desk.tasks.propose(self._upload, files, logs, stated)
-        if desk.ask(task):  # the form stays until there is a study: what was stated may be wrong
+        if desk.ask(task):  # the form stays until there is a study: its data may be wrong
             desk.choose_when_made(self._upload)
 
 
 class _Cycles:
-    """Recorded cycles, of which one is a study, and several of one cable can be gathered."""
+    """Recorded cycles: one is a study, and several of one cable can be gathered."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
 
     def build(self) -> None:
-        """Make the elements; the cycles are read when they are asked for."""
+        """Make the elements; the cycles are read when they are shown."""
         t = self._t
         self._place = ui.expansion(t("Recorded cycles"), icon="history").classes("w-full")
         with self._place.props("data-test=cycles-open"):
-            self._said = ui.label()
+            self._message = ui.label()
             heads = columns(
                 ("started", t("Begun")),
                 ("part", t("Part")),
@@ -303,10 +303,10 @@ class _Cycles:
     async def _opened(self, event: Any) -> None:
         if not event.value:
             return
-        found = await run.io_bound(self._query)
-        if found is not None:
-            self._table.rows, self._said.text = found
-            self._said.set_visibility(bool(self._said.text))
+        result = await run.io_bound(self._query)
+        if result is not None:
+            self._table.rows, self._message.text = result
+            self._message.set_visibility(bool(self._message.text))
 
     def _query(self) -> tuple[list[dict[str, str]], str]:
         room = self._desk.visit.room
