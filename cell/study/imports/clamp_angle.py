@@ -38,11 +38,13 @@ class Root:
     angle_rad  (rows,) of the markers' file, rough while it moves
     rest_rad   at rest
     is_line    it is that of the line to the only marker, from which a drooping cable departs
+    others     of the other trials: the file with the gripper, and `rest_rad`
     """
 
     angle_rad: FloatArray
     rest_rad: float
     is_line: bool = False
+    others: tuple[tuple[Capture, float], ...] = ()
 
     @property
     def agrees_rad(self) -> float:
@@ -54,10 +56,10 @@ class Root:
 class _PoseReader:
     """What a column of angles may mean.
 
-    is_measured  the cable shows the sign, by turning with the column
+    is_measured  the cable shows the sign, by turning with the column, within a trial or between two
     quarters     of a turn that are added
     rest_rad     of the column at rest, in its sign
-    off_rad      by which the reading and the cable's root differ at rest
+    off_rad      by which the reading and the cable's root differ at rest, mean over the trials
     """
 
     unit: str
@@ -166,7 +168,7 @@ def _agreeing(capture: Capture, inside: Contents, root: Root) -> tuple[str, str]
     for name, said in inside.angles:
         if said.group in points or said.axis:
             continue
-        best = min(_readings(capture.column(name), said.unit, root), key=lambda r: r.cost)
+        best = min(_readings(capture.column(name), name, said.unit, root), key=lambda r: r.cost)
         if best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
             return name, said.unit
     return None
@@ -177,10 +179,11 @@ def _of_column(
 ) -> AngleSection:
     """Unit, sign and zero of a column of angles, by what the cable's root shows."""
     values = capture.column(name)
-    best = min(_readings(values, unit, root), key=lambda reading: reading.cost)
+    best = min(_readings(values, name, unit, root), key=lambda reading: reading.cost)
     word, s, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     is_off = best.off_rad > root.agrees_rad
-    matters = float(np.nanmax(np.abs(values))) * RADIANS[word] > 1e-3
+    every = [values, *_of_others(name, root)]
+    matters = max(float(np.nanmax(np.abs(v))) for v in every) * RADIANS[word] > 1e-3
     which = "positive = down" if s > 0 else "positive = up, turned round"
     why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
     if not matters:
@@ -201,29 +204,39 @@ def _of_column(
     return AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
 
 
-def _readings(values: FloatArray, unit: str, root: Root) -> list[_PoseReader]:
-    """All that a column of angles may mean, the usual ones first."""
+def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_PoseReader]:
+    """All that a column of angles may mean in all trials, the usual ones first."""
     found = []
+    every = [values, *_of_others(name, root)]
+    roots_rad = np.array([root.rest_rad, *(shown for c, shown in root.others if name in c.names)])
+    largest = max(float(np.nanmax(np.abs(v))) for v in every)
     for word in [unit] if unit in RADIANS else ["rad", "deg"]:
-        if word == "rad" and unit not in RADIANS and np.nanmax(np.abs(values)) > 2.0 * np.pi:
+        if word == "rad" and unit not in RADIANS and largest > 2.0 * np.pi:
             continue
-        turned = continuous(values * RADIANS[word])
-        rest_rad = float(np.nanmedian(turned[: max(1, len(turned) // 20)]))
-        seen = _sign(turned, root)
+        turned = [continuous(v * RADIANS[word]) for v in every]
+        rests_rad = np.array([np.nanmedian(v[: max(1, len(v) // 20)]) for v in turned])
+        seen = _sign(turned[0], root.angle_rad) or _sign(rests_rad, np.unwrap(roots_rad))
         for sign in (1.0, -1.0) if seen == 0.0 else (seen,):
             for quarters in (0, -1, 1, 2):
-                off_rad = abs(wrapped(sign * rest_rad + quarters * np.pi / 2.0 - root.rest_rad))
+                apart_rad = sign * rests_rad + quarters * np.pi / 2.0 - roots_rad
+                off_rad = float(np.mean([abs(wrapped(a)) for a in apart_rad]))
+                rest_rad = float(rests_rad[0])
                 found.append(_PoseReader(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
     return found
 
 
-def _sign(values: FloatArray, root: Root) -> float:
+def _of_others(name: str, root: Root) -> list[FloatArray]:
+    """Values of a column in the other trials' files that have it and are known there."""
+    return [c.column(name) for c, _ in root.others if name in c.names]
+
+
+def _sign(values: FloatArray, shown_rad: FloatArray) -> float:
     """Whether the cable's root turns with a column of angles or against it; 0 = it hardly turns."""
-    if len(values) != len(root.angle_rad):
+    if len(values) != len(shown_rad):
         return 0.0
-    good = np.isfinite(values) & np.isfinite(root.angle_rad)
-    turned, shown = values[good], root.angle_rad[good]
-    if not len(turned) or min(np.ptp(turned), np.ptp(shown)) < _TURNS:
+    good = np.isfinite(values) & np.isfinite(shown_rad)
+    turned, shown = values[good], shown_rad[good]
+    if len(turned) < 2 or min(np.ptp(turned), np.ptp(shown)) < _TURNS:
         return 0.0
     turned = turned - turned.mean()
     slope = float(turned @ (shown - shown.mean()))

@@ -229,6 +229,8 @@ def first_point(
 _ACROSS = 0.2
 #: A gripper and the marker next to it rise alike within this share of their ways.
 _RISES_ALIKE = 0.25
+#: Share of a record whose median is where a point is in the end.
+_LATE = 0.3
 #: The marker next to the gripper moves about as far as the gripper; so many times more or less is
 #: another unit.
 _AS_FAR = 5.0
@@ -238,12 +240,23 @@ _AS_FAR = 5.0
 class NearestMarker:
     """Motion of the marker next to the gripper, in the trial whose gripper moves most.
 
-    hand  (rows, d) of that trial's gripper, in the unit and axes of its file
-    xy_m  (frames, 2) of the marker in the study's plane
+    hand   (rows, d) of that trial's gripper, in the unit and axes of its file
+    xy_m   (frames, 2) of the marker in the study's plane
+    moves  displacements of both, (d,) and (2,), from the beginning to the end of every trial
     """
 
     hand: FloatArray
     xy_m: FloatArray
+    moves: tuple[tuple[FloatArray, FloatArray], ...]
+
+
+def displacement(places: FloatArray) -> FloatArray:
+    """(d,) from where a point (rows, d) is at first to where it is in the end; 0 if not seen."""
+    seen = places[np.isfinite(places).all(axis=1)]
+    if not len(seen):
+        return np.zeros(places.shape[1])
+    late = seen[int((1.0 - _LATE) * len(seen)) :]
+    return np.asarray(np.median(late, axis=0) - np.median(seen[:FEWEST_REST], axis=0))
 
 
 def section_of_file(
@@ -252,15 +265,17 @@ def section_of_file(
     root: Root,
     scale: float | None,
     nearest: NearestMarker | None,
+    lasts_s: float | None,
     findings: ImportFindings,
 ) -> GripperSection:
     """The section of a gripper with a file of its own; without a place where it tells none.
 
     nearest   None = the markers' unit or the gripper's place is not known
+    lasts_s   duration of the first trial by its markers; None = not known
     findings  those about it are added
     """
     capture, inside, point, file = hand.capture, hand.inside, hand.point, hand.capture.path.name
-    time, told = time_section(capture, inside, None)
+    time, told = time_section(capture, inside, None, lasts_s)
     of_file: dict[str, Any] = {"text": TextSection.of(capture), "time": time}
     if point is None:
         findings.append(told)
@@ -332,8 +347,8 @@ def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSe
     """Right and up along the columns of a gripper that are no markers' axes.
 
     A robot's third axis is up, of motion capture perhaps the second: along it the gripper moves as
-    far as the marker next to it does.  Right is the level direction in which the gripper moves,
-    towards the same side as that marker.
+    far as the marker next to it does.  Right is the level direction in which the gripper moves in
+    any of the trials, towards the same side as that marker.
     """
     if places.shape[1] == 2:
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
@@ -344,14 +359,17 @@ def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSe
     flat = [0, 3 - up]
     sentence = f"the gripper's file has its own axes: up is its {'second' if up == 1 else 'third'}"
     right = np.array([1.0, 0.0, 0.0])
+    moves = () if nearest is None else nearest.moves
+    towards = sum((marker[0] * hand[flat] for hand, marker in moves), np.zeros(2))
+    most = sum(abs(float(marker[0])) * float(np.hypot(*hand[flat])) for hand, marker in moves)
+    goes = any(np.hypot(*hand[flat]) > _LEVEL * np.linalg.norm(hand) for hand, _ in moves)
+    if goes and np.hypot(*towards) > 0.5 * most:
+        right[flat] = towards / np.hypot(*towards)
+        return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
     if np.hypot(*span[flat]) <= _LEVEL * span[up]:
         return _plane_of(right, up), f"{sentence}; it only moves along that: right is its first"
     level = seen[:, flat] - seen[:, flat].mean(axis=0)
     right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
-    if nearest is not None:
-        hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
-        goes = (hand[-1] - hand[0]) @ right
-        right *= -1.0 if goes * (marker[-1, 0] - marker[0, 0]) < 0.0 else 1.0
     return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
 
 

@@ -31,16 +31,19 @@ _WITHIN = 0.3
 WRONG_UNIT = 3.0
 #: A rate is another one if it differs by more than two digits of 1 / rate may do.
 _SAME_RATE = 0.005
+#: Two files of one motion last equally long within these factors.
+_AS_LONG = (0.5, 3.0)
 #: What begins later than this counts from another epoch, s.
 _EPOCH_S = 1000.0
 
 
 def time_section(
-    capture: Capture, inside: Contents, rate_hz: float | None
+    capture: Capture, inside: Contents, rate_hz: float | None, lasts_s: float | None = None
 ) -> tuple[TimeSection, Finding]:
     """Column of time and its unit.
 
     rate_hz  rows a second that somebody stated; None = as the file states
+    lasts_s  duration of another file of the same motion; None = there is none
     """
     column = inside.time or ROW_NUMBER
     if rate_hz is not None and is_coarse(capture.column(column)):
@@ -53,6 +56,8 @@ def time_section(
         unit, sure, why = _as_stated(inside.time_unit, (step, mean), rate_hz, capture.rate_hz)
     else:
         unit, sure, why = _second(counts, step, steps, rate_hz or capture.rate_hz)
+        if unit is None and lasts_s is not None:
+            unit, sure, why = _as_long(float(np.nansum(steps)), lasts_s) or (unit, sure, why)
     first = float(capture.column(column)[0]) * (unit or 1.0)
     zero = counts or abs(first) > _EPOCH_S
     if unit is None:
@@ -131,6 +136,16 @@ def _second(
         if step > 0.0 and low_hz <= 1.0 / (step * unit) <= high_hz:
             return unit, Sure.GUESSED, f"{name}, a guess by steps of {step:.4g}"
     return None, Sure.WANTED, "no unit makes it a film"
+
+
+def _as_long(span: float, lasts_s: float) -> tuple[float, Sure, str] | None:
+    """The only unit in which times span as long as another file of the same motion lasts."""
+    low, high = _AS_LONG
+    fitting = [n for n, unit in SECONDS.items() if low < span * unit / lasts_s < high]
+    if len(fitting) != 1:
+        return None
+    why = f"{fitting[0]}, for so it lasts as long as the markers' file"
+    return SECONDS[fitting[0]], Sure.GUESSED, why
 
 
 def _fits(span_m: float, free_length_m: float | None) -> bool:

@@ -21,6 +21,7 @@ from cell.study.imports.gripper_proposal import (
     TIP,
     GripperFile,
     NearestMarker,
+    displacement,
     first_point,
     gripper_file,
     reach,
@@ -32,6 +33,7 @@ from cell.study.imports.gripper_section import (
     AxesSection,
     GripperSection,
     TextSection,
+    TimeSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -115,11 +117,13 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     nearest = None
     if apart is not None and apart.point is not None and scale is not None:
         nearest = _nearest(trials, apart.point, chosen, axes, scale)
+    roots = _roots_of_others(trials, chosen, axes, arcs)
     if apart is not None:
-        root = _root_at_rest(scene, arcs)
-        hand = section_of_file(apart, axes, root, scale, nearest, findings)
+        root = replace(_root_at_rest(scene, arcs), others=roots)
+        lasts_s = _duration_s(first.capture, time)
+        hand = section_of_file(apart, axes, root, scale, nearest, lasts_s, findings)
     else:
-        hand = _gripper(first.capture, chosen, axes, scene, arcs, findings)
+        hand = _gripper(first.capture, chosen, axes, scene, arcs, roots, findings)
     if apart is not None and begins is None:
         hand = _with_origin(hand, apart, axes, scene, arcs, scale, findings)
     mapping = Mapping(
@@ -147,6 +151,11 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     return Understanding(
         mapping.model_copy(update={"trials": entries, "markers": markers}), tuple(findings)
     )
+
+
+def _duration_s(capture: Capture, time: TimeSection) -> float | None:
+    """From the first row to the last; None = the unit of its times is not known."""
+    return None if time.seconds_per_unit is None else float(np.ptp(times_s(capture, time)))
 
 
 def _trial(files: Files) -> TrialEntry:
@@ -317,12 +326,13 @@ def _gripper(
     axes: AxesSection,
     scene: _Scene,
     arcs: Sequence[float | None],
+    others: tuple[tuple[Capture, float], ...],
     findings: ImportFindings,
 ) -> GripperSection:
     """The gripping point and the clamp angle, from the file of the markers."""
     inside, hand = contents(capture), chosen.gripper
     if inside.has_gripper_sensor:
-        root = _root_at_rest(scene, arcs)
+        root = replace(_root_at_rest(scene, arcs), others=others)
         return sensor_section(capture, inside, axes, root, {}, findings)
     if hand is None:
         return GripperSection(angle=AngleSection())
@@ -331,7 +341,8 @@ def _gripper(
         rest = _shape(_detected(capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, angle_of(line)
-    angle = clamp_angle(capture, inside, axes, _root(scene), findings, hand.name, second)
+    root = replace(_root(scene), others=others)
+    angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)
 
 
@@ -342,7 +353,7 @@ def _nearest(
 
     point  the gripping point, in files of their own
     """
-    marker, best = chosen.markers[0], None
+    marker, best, moves = chosen.markers[0], None, []
     for files in trials:
         there = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
         if not there or not set(marker.columns) <= set(files.capture.names):
@@ -350,9 +361,10 @@ def _nearest(
         assert files.gripper is not None
         hand = detected_places(files.gripper, point.columns, ())
         xy_m = places_m(files.capture, marker.columns, axes, scale, chosen.lost)
-        if best is None or reach(hand) > reach(best.hand):
-            best = NearestMarker(hand, xy_m)
-    return best
+        moves.append((displacement(hand), displacement(xy_m)))
+        if best is None or reach(hand) > reach(best[0]):
+            best = hand, xy_m
+    return None if best is None else NearestMarker(*best, tuple(moves))
 
 
 def _with_origin(
@@ -396,6 +408,25 @@ def _root_at_rest(scene: _Scene, arcs: Sequence[float | None]) -> Root:
     if (curve := _curve_from_gripper(scene, arcs)) is not None:
         angle = angle_of(curve(0.0, 1))
     return Root(np.full(1, np.nan), angle, len(shape) <= _A_LINE)
+
+
+def _roots_of_others(
+    trials: Sequence[Files], chosen: Chosen, axes: AxesSection, arcs: Sequence[float | None]
+) -> tuple[tuple[Capture, float], ...]:
+    """Of each other trial the file with the gripper, and the clamp angle that its markers show at
+    rest; of a trial that begins in motion, or whose file has other columns, nothing."""
+    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
+    wanted = {name for p in points for name in p.columns}
+    found = []
+    for files in trials[1:]:
+        if not wanted <= set(files.capture.names) or len(points) < _A_LINE:
+            continue
+        raw = _detected(files.capture, points, chosen)
+        scene = _scene(raw, axes, 1.0, None, chosen.gripper is not None)
+        if resting(raw) is not None and np.isfinite(scene.shape).all():
+            root = _root_at_rest(scene, arcs)
+            found.append((files.gripper or files.capture, root.rest_rad))
+    return tuple(found)
 
 
 def _curve_from_gripper(scene: _Scene, arcs: Sequence[float | None]) -> CubicSpline | None:

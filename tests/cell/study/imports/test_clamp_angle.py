@@ -87,6 +87,45 @@ def test_an_angle_is_the_same_however_a_turn_is_counted(
     np.testing.assert_allclose(found, angle_rad, atol=1e-9)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("unit", ["", " [deg]"])
+def test_unit_and_sign_are_those_of_all_trials(sign: float, unit: str) -> None:
+    """The level clamp of a first trial tells neither; the second is turned up by 60°."""
+    swings = [trial(np.full(len(T_S), angle_rad)) for angle_rad in (0.0, -1.05)]
+    trials = []
+    for name, m in zip("ab", swings, strict=True):
+        angle = {f"hand angle{unit}": sign * np.degrees(m.angle_rad)}
+        capture = captured(f"{name}.csv", **hand_of(m), **angle, **markers_of(m))
+        trials.append(Files(name, f"{name}.csv", capture))
+    mapping = understand(trials, Stated("a", LENGTH_M, 0.0074, 0.016, 1e-4)).mapping
+    for files, m in zip(trials, swings, strict=True):
+        found = clamp_angle_rad(files.capture, mapping.hand.angle, mapping.axes)
+        np.testing.assert_allclose(found, m.angle_rad, atol=1e-6)
+
+
+def test_axes_of_a_hand_s_own_are_those_in_which_it_moves_in_any_trial() -> None:
+    """The first stroke goes down alone; the third axis of the robot is up, the second to the right,
+    its clock began long before, and counts milliseconds."""
+    trials = []
+    for name, stroke_m in (("a", [0.0, -0.05]), ("b", [0.04, 0.0])):
+        hand_m = np.outer(stroke(T_S), stroke_m)
+        m = swing(name, hand_m, np.zeros(len(T_S)), 1, T_S, NOISE_M)
+        markers = captured(f"{name}.csv", **markers_of(m, scale=-2000.0))
+        way = stroke(np.arange(1200) / 1000.0)
+        xyz_m = np.outer(way, [0.0, -stroke_m[0], stroke_m[1]]) + [0.4, 0.1, 0.0]
+        named = tuple(CapturedColumn(n) for n in ("time", "tcp x", "tcp y", "tcp z"))
+        rows = np.column_stack([5000.0 + np.arange(1200), xyz_m])
+        hand = Capture(Path("h.csv"), named, rows, np.arange(1200) + 2)
+        trials.append(Files(name, f"{name}.csv", markers, f"hand_{name}.csv", hand))
+    found = understand(trials, Stated("a", LENGTH_M, 0.0074, 0.016, 1e-4))
+    hand = found.mapping.hand
+    assert hand.axes is not None
+    assert (hand.axes.right, hand.axes.up) == ([0.0, -1.0, 0.0], [0.0, 0.0, 1.0])
+    assert hand.time is not None
+    assert hand.time.seconds_per_unit == 1e-3
+    assert "lasts as long as the markers' file" in " ".join(said(found, "time"))
+
+
 @pytest.mark.parametrize("angle_rad", [0.0, -0.2, 0.2])
 @pytest.mark.parametrize("seed", range(4))
 def test_two_points_on_the_hand_make_its_angle_whatever_their_noise(
