@@ -98,6 +98,11 @@ def choose(
             findings.guessed("hand", f"{sentence}the markers span the free length")
     elif hand is None:
         order = _from_end(cable, raw)
+        if behind := _on_jaws(order, raw, free_length_m):
+            body = ", ".join(repr(p.name) for p in order[:behind])
+            sentence = f"{body}: on the gripper, for with them the markers span more than the cable"
+            findings.guessed("markers", f"{sentence}, and they move as one body: left out")
+            order = order[behind:]
     else:
         order = [cable[i - 1] for i in chain(_typical([hand, *cable], raw), 0)[1:]]
     names = " → ".join(p.name for p in order)
@@ -288,6 +293,25 @@ def _behind_jaws(
             change = [_changes(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
             return behind if max(change, default=0.0) < _ONE_BODY * whole else 0
     return 0
+
+
+def _on_jaws(
+    order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
+) -> int:
+    """How many points of a chain are on a gripper that has a file of its own.
+
+    With them the chain is longer than the cable, without them it is not, and they are one body.
+    """
+    unit = METRES.get(order[0].unit)
+    if free_length_m is None or unit is None:
+        return 0
+    steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
+    left = np.append(np.cumsum(steps[::-1])[::-1], 0.0) * unit
+    most_m = (1.0 + _AS_LONG) * free_length_m
+    count = int(np.argmax(left <= most_m))
+    body = order[:count]
+    change = [_changes(raw[p.name], raw[body[-1].name]) * unit for p in body[:-1]]
+    return count if max(change, default=0.0) < _ONE_BODY * free_length_m else 0
 
 
 def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:

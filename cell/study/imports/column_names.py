@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import dataclass
 from enum import Enum
 
@@ -55,7 +56,8 @@ _FRAME = frozenset(
 )  # fmt: skip
 _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
-     "tilt", "heading", "alpha", "phi", "attitude", "neigung", "rpy", "rpys")
+     "tilt", "heading", "alpha", "phi", "attitude", "neigung", "rpy", "rpys",
+     "φ", "θ", "α")
 )  # fmt: skip
 #: Quantities that are no place.
 _OTHER = frozenset(
@@ -112,12 +114,14 @@ def meaning(column: CapturedColumn) -> Meaning:
     unit = unit or next((_TIME_WITH_UNIT[w] for w in words if w in _TIME_WITH_UNIT), "")
     if (found := _acceleration(words, unit)) is not None:
         return found
-    axis, rest = "", []
+    axis, rest = "", list[str]()
     rotation = False
     for word in words:
         grown = _GROWN.fullmatch(word)
         if word in ("x", "y", "z", "w") and not axis:
             axis = word
+        elif word == "q0" and not axis:  # beside qx, qy and qz; else nothing comes of it
+            axis, rest = "w", [*rest, "quat"]
         elif word == axis:  # several lines of names say it
             continue
         elif grown and not axis:
@@ -272,10 +276,10 @@ def _acceleration(words: list[str], unit: str) -> Meaning | None:
 def _words(name: str) -> list[str]:
     """Words of a name in small letters: at blanks, signs, changes of case, and an axis at a number.
 
-    `tipX`, `tip_x`, `X tip`, `TIP:X` are tip and x; `x0` and `M1X` are x and 0, m1 and x.
+    `tipX`, `tip_x`, `X tip`, `TIP:X` are tip and x; `x0`, `x₀` and `M1X` are x and 0, m1 and x.
     """
     found: list[str] = []
-    for piece in re.split(r"[^\w]+|_", name):
+    for piece in re.split(r"[^\w]+|_", unicodedata.normalize("NFKC", name)):
         for word in re.sub(r"(?<=[a-zäöü0-9])(?=[A-Z])", " ", piece).split():
             small = word.lower()
             if small.endswith("winkel") and small != "winkel":  # German grows its words together

@@ -21,10 +21,12 @@ HAND = frozenset(
     ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
      "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
      "chuck", "jaw", "jaws", "hub", "motor", "eef", "klemm", "klemme", "grp", "backe", "backen",
-     "pince", "mors", "pinza", "garra")
+     "pince", "mors", "pinza", "garra", "rob", "robi", "mordaza", "einspannung")
 )  # fmt: skip
 
 
+#: Last words of a displacement from where a point was at first, such as dX.
+_DISPLACEMENT = frozenset(("d", "delta", "displacement"))
 #: Frames of a film to a row that is there, at most.
 _GAPS = 1.5
 
@@ -187,7 +189,8 @@ def _points(
     points: list[Point] = []
     alone: list[str] = []
     for group, axes in groups.items():
-        if len(axes) < 2:
+        base, _, last = group.rpartition(" ")
+        if len(axes) < 2 or (last in _DISPLACEMENT and base in groups):
             alone += [name for name, _ in axes.values()]
             continue
         columns = tuple(axes[a][0] for a in "xyz" if a in axes)

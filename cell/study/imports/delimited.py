@@ -24,6 +24,7 @@ from cell.study.imports.capture import (
     is_number,
     number,
 )
+from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
@@ -77,6 +78,8 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     if text.count("\n") > MAX_ROWS + _MOST_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
+    if form is None and (made := by_channels(path, text.splitlines())) is not None:
+        return replace(made, notes=(*notes, *made.notes))
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
@@ -353,7 +356,9 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     for i in range(1, len(rows) - 1):
         around = (rows[i - 1], rows[i + 1])
         within = data[i - 1] and data[i + 1] and all(len(r.cells) == width for r in around)
-        if within and not data[i] and not rows[i].blank:
+        before = any(data[j] and len(rows[j].cells) == width for j in range(i - 1))
+        below_ids = _are_names(rows[i].cells) and not before
+        if within and not data[i] and not rows[i].blank and not below_ids:
             raise _no_row(path, rows[i])
     first = _first_row(rows, [i for i, r in enumerate(rows) if data[i] and len(r.cells) == width])
     last, blank = first, False
@@ -378,12 +383,16 @@ def _first_row(rows: Sequence[Row], of_width: Sequence[int]) -> int:
     of numbers, such as IDs, above a line of words.
     """
     for i in of_width:
-        below = rows[i + 1].cells if i + 1 < len(rows) else ()
-        words = [c for c in below if c.strip().lower() not in NOT_SEEN]
-        above_names = len(words) > 1 and not any(c.strip()[0] in "+-.,0123456789" for c in words)
+        above_names = i + 1 < len(rows) and _are_names(rows[i + 1].cells)
         if not above_names and sum(bool(c.strip()) for c in rows[i].cells) > 1:
             return i
     return of_width[0]
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    """Whether several words stand there, and no number."""
+    words = [c for c in cells if c.strip().lower() not in NOT_SEEN]
+    return len(words) > 1 and not any(c.strip()[0] in "+-.,0123456789" for c in words)
 
 
 def _checked_width(path: Path, rows: Sequence[Row], first: int, last: int, form: TextForm) -> int:

@@ -33,15 +33,18 @@ class _Up:
     why: str
 
 
-def find_axes(places: FloatArray, shape: FloatArray) -> tuple[AxesSection, ImportFindings]:
+def find_axes(
+    places: FloatArray, shape: FloatArray, others: Sequence[FloatArray] = ()
+) -> tuple[AxesSection, ImportFindings]:
     """Directions of x (right) and y (up) of the study, such that the cable leaves towards −x.
 
     places  (rows, points, 2 or 3) in order along the cable, the gripper first
     shape   (points, d) of the cable at rest, or its mean
+    others  the same of the other trials
     """
     dimensions = places.shape[2]
     normal, flat = _normal(places)
-    up = _up(shape, normal)
+    up = _up(shape, others, normal)
     right, along = _right(places, shape, normal, up.direction)
     findings = ImportFindings()
     if normal is not None:
@@ -63,7 +66,7 @@ def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
     return directions[2], float(sizes[2] / sizes[0])
 
 
-def _up(shape: FloatArray, normal: FloatArray | None) -> _Up:
+def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | None) -> _Up:
     """Which axis of the file is up: the one against which the cable bends from its clamp on."""
     dimensions = shape.shape[1]
     axes = [k for k in range(dimensions) if normal is None or _in_plane(normal, k)]
@@ -72,7 +75,7 @@ def _up(shape: FloatArray, normal: FloatArray | None) -> _Up:
     usual = 1 if dimensions == 2 or 2 not in axes else 2
     if usual not in axes:
         usual = axes[0]
-    bent = bend(shape)
+    bent = np.mean([bend(s) for s in (shape, *others)], axis=0)
     size = {k: abs(float(bent[k])) for k in axes}
     chosen = max(axes, key=lambda k: size[k])
     if size[chosen] < _BEND:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import CapturedColumn, Decimal, is_number
-from cell.study.imports.text_rows import Row
+from cell.study.imports.capture import NOT_SEEN, CapturedColumn, Decimal, is_number
+from cell.study.imports.text_rows import WITH_UNIT, Row
 from cell.study.imports.units import METRES, RADIANS, SECONDS, unit_of
 
 _Lines = Sequence[tuple[int, tuple[str, ...]]]
@@ -62,10 +62,6 @@ def stated_pixel_m(path: Path, rows: _Lines) -> float | None:
     return next(iter(sizes), None)
 
 
-#: A number with its unit in one cell.
-_WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\W\d_]+|°)")
-
-
 def without_units(
     path: Path, table: Sequence[Row], stated: Sequence[CapturedColumn], decimal: Decimal
 ) -> tuple[list[Row], tuple[CapturedColumn, ...]]:
@@ -75,7 +71,9 @@ def without_units(
     """
     columns, rows = list(stated), list(table)
     for index, column in enumerate(columns):
-        first = _unit_behind(rows[0].cells[index], decimal)
+        all_cells = (row.cells[index] for row in rows)
+        filled = next((c for c in all_cells if c.strip().lower() not in NOT_SEEN), "")
+        first = _unit_behind(filled, decimal)
         if not first:
             continue
         told = {unit: row for row in rows[::-1]
@@ -87,7 +85,7 @@ def without_units(
             raise InputError.at(path, message, line=told[other].line, key=column.name)
         columns[index] = replace(column, unit=own)
         for i, row in enumerate(rows):
-            if found := _WITH_UNIT.fullmatch(row.cells[index].strip()):
+            if found := WITH_UNIT.fullmatch(row.cells[index].strip()):
                 cells = (*row.cells[:index], found[1], *row.cells[index + 1 :])
                 rows[i] = Row(row.line, cells)
     return rows, tuple(columns)
@@ -95,6 +93,6 @@ def without_units(
 
 def _unit_behind(cell: str, decimal: Decimal) -> str:
     """The unit behind a number; empty = there is none."""
-    found = _WITH_UNIT.fullmatch(cell.strip())
+    found = WITH_UNIT.fullmatch(cell.strip())
     unit = unit_of(found[2]) if found and is_number(found[1], decimal) else ""
     return unit if unit in (*METRES, *SECONDS, *RADIANS) else ""

@@ -11,11 +11,14 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, Decimal, is_number
+from cell.study.imports.units import unit_of
 
 #: What begins a remark.
 REMARKS = ("#", "%", "//")
 #: Fewer rows are no table.
 _FEWEST_ROWS = 3
+#: A number with its unit in one cell.
+WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\W\d_]+|°)")
 #: When a serial monitor received a line, which stands before the line itself.
 _RECEIVED = re.compile(r"^\[?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\]? ?(?:->|>|\t) ?")
 #: Lines of a text that begin so, at least.
@@ -78,7 +81,14 @@ def _between_blanks(lines: Sequence[str]) -> list[Row]:
 def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
     """As `Row.is_data`, of some cells."""
     filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
-    return bool(filled) and 2 * sum(is_number(c, decimal) for c in filled) >= len(filled)
+    return bool(filled) and 2 * sum(_is_value(c, decimal) for c in filled) >= len(filled)
+
+
+def _is_value(cell: str, decimal: Decimal) -> bool:
+    if is_number(cell, decimal):
+        return True
+    found = WITH_UNIT.fullmatch(cell.strip())
+    return found is not None and is_number(found[1], decimal) and bool(unit_of(found[2]))
 
 
 def without_reception(path: Path, text: str) -> tuple[str, list[str]]:

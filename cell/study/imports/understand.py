@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,14 +88,14 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     inside = contents(first.capture)
     apart = None if first.gripper is None else gripper_file(first.gripper)
     elsewhere = apart is not None or inside.has_gripper_sensor
-    others = [files.capture for files in trials[1:]]
+    captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
     if first.joined_files:
         sentence = (
             f"{first.capture.path.name} and {', '.join(first.joined_files)} have the same times: "
         )
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
-    chosen = choose(first.capture, inside, elsewhere, findings, others, stated.free_length_m)
+    chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings.insert(0, told)
     times_s(first.capture, time)  # in disorder nothing below means anything
@@ -108,7 +108,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     shape = shape if begins is None else np.vstack([begins, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
     scale, told = metres_per_unit(units, extent, stated.free_length_m)
-    axes, of_axes = find_axes(raw, shape)
+    others = [s for s in _shapes(trials[1:], points, chosen) if np.isfinite(s).all()]
+    axes, of_axes = find_axes(raw, shape, others)
     findings += [_of_image(told, axes, raw), *of_axes]
     scene = _scene(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
@@ -206,6 +207,15 @@ def _shape(raw: FloatArray) -> FloatArray:
     """(points, d) at rest, else a mean of what is seen."""
     rest = resting(raw)
     return middle(raw if rest is None else rest)
+
+
+def _shapes(
+    trials: Sequence[Files], points: Sequence[Point], chosen: Chosen
+) -> Iterator[FloatArray]:
+    """(points, d) of trials at rest, whose files have the same columns."""
+    for files in trials:
+        if {name for p in points for name in p.columns} <= set(files.capture.names):
+            yield _shape(_detected(files.capture, points, chosen))
 
 
 def _scene(

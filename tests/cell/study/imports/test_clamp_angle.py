@@ -112,7 +112,7 @@ def test_axes_of_a_hand_s_own_are_those_in_which_it_moves_in_any_trial() -> None
         m = swing(name, hand_m, np.zeros(len(T_S)), 1, T_S, NOISE_M)
         markers = captured(f"{name}.csv", **markers_of(m, scale=-2000.0))
         way = stroke(np.arange(1200) / 1000.0)
-        xyz_m = np.outer(way, [0.0, -stroke_m[0], stroke_m[1]]) + [0.4, 0.1, 0.0]
+        xyz_m = np.array([0.4, 0.1, 0.0]) + np.outer(way, [0.0, -stroke_m[0], stroke_m[1]])
         named = tuple(CapturedColumn(n) for n in ("time", "tcp x", "tcp y", "tcp z"))
         rows = np.column_stack([5000.0 + np.arange(1200), xyz_m])
         hand = Capture(Path("h.csv"), named, rows, np.arange(1200) + 2)

@@ -294,3 +294,94 @@ def test_a_body_s_matrix_tells_more_than_one_of_its_three_angles(tmp_path: Path)
     values = np.column_stack([m.t_s, 1e3 * spatial.reshape(len(m.t_s), -1), angles, matrix])
     said = run(table(tmp_path, "body.csv", named, values), "-o", tmp_path / "study", *CABLE)
     assert "the gripper turns as 'gripper quaternion x'" in said
+
+
+def test_each_channel_has_its_own_times(tmp_path: Path) -> None:
+    """Properties in turns with their names above the channels, as TwinCAT's Scope exports them."""
+    m = made()
+    names = ["Greifer X", "Greifer Y", *(f"Marker{k} {a}" for k in range(5) for a in "XY")]
+    head = [
+        [cell for n in names for cell in ("Name", n)],
+        ["SampleTime[ms]", "5"] * len(names),
+        [cell for _ in names for cell in ("Unit", "mm (Length)")],
+    ]
+    each = places(m).reshape(len(m.t_s), -1) * 1e3
+    frames = np.arange(len(m.t_s))
+    logged = np.append(0, frames[1::2])
+    rows = []
+    for i in frames:
+        row = []
+        for k, name in enumerate(names):
+            own = logged if name.startswith("Greifer") else frames
+            there = [f"{m.t_s[own[i]] * 1e3:.3f}", f"{each[own[i], k]:.7f}"] if i < len(own) else []
+            row += [cell.replace(".", ",") for cell in there] or ["", ""]
+        rows.append(row)
+    file = saved(tmp_path / "scope.csv", text([["File", "a"], *head, [], *rows, ["EOF"]], "\t"))
+    check_same(imported([str(file)], tmp_path / "study"), m, place_m=1e-4, angle_rad=0.5)
+
+
+@pytest.mark.parametrize("gap", ["", "nan"])
+def test_units_stand_in_cells_of_which_many_are_empty(tmp_path: Path, gap: str) -> None:
+    """The gripper's rows are others than the camera's; the first has no marker."""
+    m = made()
+    both = digits(places(m).reshape(len(m.t_s), -1) * 1e3, 7)
+    rows = []
+    for t, cells in zip(m.t_s, both, strict=True):
+        with_units = [f"{cell} mm" for cell in cells]
+        rows.append([f"{t:.6f}", *with_units[:2], *[gap] * 10])
+        rows.append([f"{t + 1e-5:.6f}", gap, gap, *with_units[2:]])
+    names = ["time_s", *(f"{p}_{a}" for p in POINTS for a in "xy")]
+    file = saved(tmp_path / "joined.csv", text([names, *rows]))
+    check_same(imported([str(file)], tmp_path / "study"), m, place_m=3e-4, angle_rad=0.5)
+
+
+def test_a_line_of_numbers_stands_above_the_names(tmp_path: Path) -> None:
+    """Numbers of the columns, below lines of a property and its value, as Simi Motion exports."""
+    m = made()
+    names = ["Einspannung X", "Einspannung Y", *(f"{p} {a}" for p in NAMES for a in "XY")]
+    values = digits(places(m).reshape(len(m.t_s), -1), 9)
+    head = [["Samples", len(values)], ["SamplesPerSecond", "200"], []]
+    rows = [*head, [1000 + i // 2 for i in range(12)], names, *values]
+    file = saved(tmp_path / "simi.txt", text(rows, "\t"))
+    check_places(imported([str(file), "--rate", "200"], tmp_path / "study"), m)
+
+
+def test_small_digits_number_points(tmp_path: Path) -> None:
+    m = made()
+    names = ["t", "hand_x", "hand_y", *(f"{a}{n}" for n in "₁₂₃₄₅" for a in "xy")]
+    values = np.column_stack([m.t_s, places(m).reshape(len(m.t_s), -1)])
+    check_places(imported([table(tmp_path, "small.csv", names, values)], tmp_path / "study"), m)
+
+
+def test_displacements_beside_places_are_no_points(tmp_path: Path) -> None:
+    m = made()
+    at = places(m)
+    names = ["t_s", *(f"{p} m.{k}{a}" for p in POINTS for k in ("", "d") for a in "XY")]
+    both = np.concatenate([at, at - at[0]], axis=2).reshape(len(m.t_s), -1)
+    file = table(tmp_path, "stages.csv", names, np.column_stack([m.t_s, both]))
+    check_places(imported([file], tmp_path / "study"), m)
+
+
+def test_markers_of_a_body_whose_file_is_another_are_none_of_the_cable(tmp_path: Path) -> None:
+    """Nobody named them after the gripper: with them the chain is longer than the cable."""
+    m = made()
+    behind = m.gripper_m[:, None] + np.array([[0.03, 0.004], [0.06, 0.02], [0.1, 0.01]])
+    every = np.concatenate([behind, m.markers_m], axis=1).reshape(len(m.t_s), -1) * 1e3
+    names = ["t_s", *(f"M{k}_{a}_mm" for k in range(8) for a in "xy")]
+    markers = table(tmp_path, "points.csv", names, np.column_stack([m.t_s, every]))
+    poses = np.column_stack([m.t_s, m.gripper_m * 1e3, m.angle_rad])
+    hand = table(tmp_path, "body.csv", ["t_s", "jaws_x_mm", "jaws_y_mm", "angle_rad"], poses)
+    said = run(markers, "--hand", hand, "-o", tmp_path / "told", *CABLE)
+    assert "'m2', 'm1', 'm0': on the gripper" in said or "on the gripper, for with them" in said
+    check_same(imported([markers, "--hand", hand], tmp_path / "study"), m, angle_rad=1e-3)
+
+
+def test_what_bends_in_several_trials_tells_which_axis_is_up() -> None:
+    """A stiff cable whose clamp is turned up by 75° bends level; the next trial is level."""
+    turned = [np.array([1.31, 1.2, 1.1]), np.array([0.0, -0.1, -0.3])]
+    shapes = [
+        np.vstack([[0.0, 0.0], np.cumsum(np.column_stack([np.cos(a), np.sin(a)]), axis=0)])
+        for a in turned
+    ]
+    assert find_axes(shapes[0][None], shapes[0])[0].up == [-1.0, 0.0]
+    assert find_axes(shapes[0][None], shapes[0], shapes[1:])[0].up == [0.0, 1.0]
