@@ -29,7 +29,7 @@ def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
         for i, line in enumerate(lines[:_MOST_HEADER]):
             cells = [cell.strip() for cell in split_line(line, separator)]
             names = set(cells[::2])
-            if len(cells) > 3 and len(names) == 1 and not is_number(word := names.pop(), "."):
+            if len(cells) > 3 and len(names) == 1 and (word := names.pop())[:1].isalpha():
                 stated[word], last = cells[1::2], i
         properties = {split_unit(word)[0].lower(): (word, said) for word, said in stated.items()}
         if "name" in properties:
