@@ -21,14 +21,14 @@ from cell.lab.data.named_effects import (
     select_for_diagnosis,
 )
 from cell.lab.data.opened_study import open_study
-from cell.lab.data.prepared import ERRS, PreparedStudy, as_measured
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, as_measured
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose as examine
 from cell.lab.diagnosis import with_strength
 from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
-from cell.lab.next.asked import select_asked
+from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.study_power import power_of
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
@@ -194,7 +194,7 @@ def suggest(
     names, tried = split_effects(effect_names(effects))
     known = effect_names(known, "known")
     if names:
-        chosen, selection = select_asked(names, known)
+        chosen, selection = effect_queries(names, known)
         fits = set_up(study, selection, prior, config, progress)
         return SuggestResult(showing_motion(fits, chosen, around))
     fits = set_up(study, select_for_diagnosis(tried, known), prior, config, progress)
@@ -221,7 +221,7 @@ def power(
     motions  files of `cell suggest`, as if they had been recorded too and held out
     other arguments and errors as of `diagnose`
     """
-    chosen, selection = select_asked(effect_names(effects), effect_names(known, "known"))
+    chosen, selection = effect_queries(effect_names(effects), effect_names(known, "known"))
     if not chosen:
         raise ValueError("effects: there is none; give one or more")
     fits = set_up(study, selection, None, config, progress)
@@ -297,7 +297,7 @@ def fit_study(fits: FitCache) -> tuple[Identified, FittedModel, PreparedStudy]:
     """
     model, prepared = fits.base, fits.prepared
     _LOG.info("fitted %s: %.4f mm", prepared.study.name, model.fit.rms_m * 1e3)
-    if model.fit.rms_m <= ERRS * prepared.expected_m("fit"):
+    if model.fit.rms_m <= ERROR_RATIO * prepared.expected_m("fit"):
         return identified(prepared, model.fit, fits.library.values()), model, prepared
     again = PreparedStudy.of(
         as_measured(prepared),

@@ -305,10 +305,10 @@ class PowerResult(Shown):
         """A row per effect: its size, the probability of detection, and the smallest size."""
         return [
             {
-                "effect": forecast.asked.effect.name,
-                "parameter": forecast.asked.parameter.name,
+                "effect": forecast.query.effect.name,
+                "parameter": forecast.query.parameter.name,
                 "size": forecast.size,
-                "unit": forecast.asked.parameter.unit,
+                "unit": forecast.query.parameter.unit,
                 "found": None if forecast.chances is None else forecast.chances.found,
                 "smallest": forecast.smallest,
             }

@@ -404,7 +404,7 @@ def suggest(args: _Suggest) -> None:
     from cell.lab.data.named_effects import select_for_diagnosis
     from cell.lab.data.work import DIAGNOSIS, Work
     from cell.lab.diagnosis import diagnose as diagnose_study
-    from cell.lab.next.asked import select_asked
+    from cell.lab.next.effect_query import effect_queries
     from cell.lab.next.suggest import showing_motion, split_effects, suggest_motion
     from cell.lab.report.tables import verdict_line, warning_lines
     from cell.settings.surroundings import Surroundings
@@ -414,7 +414,7 @@ def suggest(args: _Suggest) -> None:
         names, tried = split_effects(args.effects(progress))
         known = args.known or []
         chosen, selection = (
-            select_asked(names, known) if names else ((), select_for_diagnosis(tried, known))
+            effect_queries(names, known) if names else ((), select_for_diagnosis(tried, known))
         )
         work = Work(DIAGNOSIS)
         with stoppable(work.stop) as interrupted:

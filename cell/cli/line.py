@@ -218,8 +218,8 @@ def _asking(
 ) -> tuple[list[str], list[Delivery]]:
     """Commands for the motion that distinguishes the tied effects, and its file."""
     from cell.lab.next.suggest import (
-        MOST_ASKED,
         MOST_CANDIDATES,
+        MOST_REQUESTED,
         distinguishing_motions,
         worth_measuring,
     )
@@ -228,8 +228,10 @@ def _asking(
 
     if not result.tied:
         return [], []
-    if sum(c.held is None for c in result.cycles) >= MOST_ASKED:  # measured by such a motion
-        sentence = f"{MOST_ASKED} motions could not distinguish the tied effects on these cables"
+    if sum(c.held is None for c in result.cycles) >= MOST_REQUESTED:  # measured by such a motion
+        sentence = (
+            f"{MOST_REQUESTED} motions could not distinguish the tied effects on these cables"
+        )
         return [sentence], []
     try:
         around = Surroundings.read(options.config, product)

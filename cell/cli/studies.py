@@ -210,11 +210,11 @@ def power(args: _Power) -> None:
     from cell.api.lab import planned, set_up
     from cell.api.results import PowerResult
     from cell.lab.data.work import DIAGNOSIS, Work
-    from cell.lab.next.asked import select_asked
+    from cell.lab.next.effect_query import effect_queries
     from cell.lab.next.study_power import power_of
 
     with refusing(*args.results or [], force=args.force), working("power") as progress:
-        chosen, selection = select_asked(args.effect, args.known or [])
+        chosen, selection = effect_queries(args.effect, args.known or [])
         work = Work(DIAGNOSIS)
         with stoppable(work.stop) as interrupted:
             fits = set_up(args.study, selection, None, args.config, progress, tell_notes, work)

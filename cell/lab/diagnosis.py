@@ -2,15 +2,15 @@
 
     prepare     outliers, clocks, initial states, noise; the baseline fitted     `search.setup`
     search      effects added while they are significant and confirmed           `search`
-    noise       re-estimated given the model found; the search is repeated once  `search.fit_cache`
-    knots       more of EI(s) where no effect explains as much; searched again   `verdict.knots`
-    explain     effects tied with those found, or else what explains most        `verdict.ties`
+    noise       re-estimated given the final model; the search is repeated once  `search.fit_cache`
+    knots       more of EI(s) where no effect explains as much; search repeated  `verdict.knots`
+    explain     ties of the effects, or else the best partial explanation        `verdict.ties`
     check       the table of checks on the evidence                              `verdict.checks`
     conclude    verdict, claims, doubts                                          `conclusion`
     strength    limits of the other effects, agreement of the trials             `strength`
 
-Each stage has its share of the budget of work.  What is left out because of it is named, and then
-nothing is claimed that it could have changed.
+Each stage has its share of the budget of work.  Omitted computations are reported, and claims that
+they could change are not made.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from cell.lab.verdict.ties import with_ties
 
 _LOG = logging.getLogger(__name__)
 
-#: Stages of the work: the search is repeated once, given the noise that the first one leaves.
+#: Stages of the work: the search is repeated once, with the noise given the first model.
 _SEARCHES = ("search", "repeated search")
 
 
 def diagnose(fits: FitCache) -> Examination:
-    """Which effects the model of a prepared study lacks.
+    """The diagnosis of a prepared study: effects that its model lacks.
 
-    Stopped, or where nothing more can be simulated, it returns what is known by then.
+    If it is stopped, or nothing more can be simulated, the results so far.
     """
     work, first = fits.work, fits
-    usual: _Judged | None = None
-    stage, again = _SEARCHES
+    usual: _CheckedSearch | None = None
+    stage, repeated = _SEARCHES
     try:
         while True:
             _LOG.info(
@@ -61,20 +61,20 @@ def diagnose(fits: FitCache) -> Examination:
                 return unconfirmed(fits, "unexplained", NO_MODEL)
             with work.stage(stage):
                 search = search_effects(fits)
-            stage = again
+            stage = repeated
             if search.refined is not None:
-                with work.stage(again):
+                with work.stage(repeated):
                     fits = FitCache.of(search.refined)
                 continue
             with work.stage("conclude"):
-                judged = _judged(search)
-            with work.stage(again):
-                finer = None if judged.is_complete else with_more_knots(fits, first)
+                checked = _checked(search)
+            with work.stage(repeated):
+                finer = None if checked.is_complete else with_more_knots(fits, first)
             if finer is None:
                 break
-            usual, fits = usual or judged, finer
+            usual, fits = usual or checked, finer
         with work.stage("conclude"):
-            return _concluded(judged if usual is None or judged.explained else usual)
+            return _concluded(checked if usual is None or checked.explained else usual)
     except WorkStoppedError as error:
         work.conclude()
         return interrupted(fits, error)
@@ -83,7 +83,7 @@ def diagnose(fits: FitCache) -> Examination:
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _CheckedSearch:
     """A search, the checks of the model that it accepted, and whether that explains the study."""
 
     search: SearchResult
@@ -94,11 +94,11 @@ class _Judged:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the baseline is all that the study needs."""
+        """Whether the verdict on the baseline alone is `complete`."""
         return self.evidence.is_base and worst_verdict(self.checks, is_base=True) == "complete"
 
 
-def _judged(search: SearchResult) -> _Judged:
+def _checked(search: SearchResult) -> _CheckedSearch:
     """A search with the checks of the model that it accepted."""
     fits, left_out = search.fits, search.fits.work.left_out
     evidence = Evidence(fits, search.model)
@@ -106,15 +106,15 @@ def _judged(search: SearchResult) -> _Judged:
     if explained:
         evidence = with_ties(evidence)
     all_tried = search.all_tried and len(left_out) == before
-    return _Judged(search, evidence, tuple(evaluate(evidence)), explained, all_tried)
+    return _CheckedSearch(search, evidence, tuple(evaluate(evidence)), explained, all_tried)
 
 
-def _concluded(judged: _Judged) -> Examination:
-    """The conclusion from a search: effects that explain the study, or what comes nearest."""
-    search, evidence, fits = judged.search, judged.evidence, judged.evidence.fits
-    partial = None if judged.explained else explain_partly(fits)
-    path = path_to(fits, evidence.final) if judged.explained else (fits.base,)
-    return conclude(search, evidence, judged.checks, path, partial, all_tried=judged.all_tried)
+def _concluded(checked: _CheckedSearch) -> Examination:
+    """The conclusion from a search: effects that explain the study, or a partial explanation."""
+    search, evidence, fits = checked.search, checked.evidence, checked.evidence.fits
+    partial = None if checked.explained else explain_partly(fits)
+    path = path_to(fits, evidence.final) if checked.explained else (fits.base,)
+    return conclude(search, evidence, checked.checks, path, partial, all_tried=checked.all_tried)
 
 
 def with_strength(examination: Examination) -> Examination:
@@ -123,10 +123,10 @@ def with_strength(examination: Examination) -> Examination:
 
 
 def with_limits(examination: Examination) -> Examination:
-    """The examination with limits of every effect that was tried and is neither named nor tied.
+    """The examination with limits of every effect that is neither named nor tied.
 
-    None of an unexplained study, because given a wrong model the true effect would be excluded; nor
-    where the parameters mean nothing.
+    Without limits for an unexplained study, where the true effect might be excluded given the wrong
+    model, and if the parameters are meaningless.
     """
     diagnosis = examination.diagnosis
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
@@ -141,7 +141,7 @@ def with_limits(examination: Examination) -> Examination:
 def with_agreement(examination: Examination) -> Examination:
     """The examination with estimates per trial of the final model's parameters.
 
-    None where no model's parameters mean anything.
+    Without them if the parameters are meaningless.
     """
     if examination.diagnosis.codes & {"interrupted", "not_searched", "hopeless"}:
         return examination
@@ -156,7 +156,7 @@ def with_agreement(examination: Examination) -> Examination:
 def _measured(
     examination: Examination, missing: str, measure: Callable[[], dict[str, Any]]
 ) -> Examination:
-    """The examination with more in its diagnosis; a warning of what is missing if it is stopped."""
+    """The examination with further results; if stopped, with a warning `missing`."""
     diagnosis, work = examination.diagnosis, examination.fits.work
     try:
         with work.stage("strength"):
@@ -171,11 +171,11 @@ def _measured(
 
 
 def _limits(examination: Examination) -> tuple[Limit, ...]:
-    """Limits of what the examination has neither named nor tied."""
+    """Limits of the effects that are neither named nor tied."""
     diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
     named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
     absent = [e for name, e in fits.library.items() if name not in named | final.names]
     prepared = examination.final_prepared
-    # where not all can be simulated, as far as the fitted trials tell
+    # from the fitted trials only, if not all can be simulated
     joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
     return limits(joint, absent, fits.progress)

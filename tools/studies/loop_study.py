@@ -34,8 +34,8 @@ from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.learn import learn
 from cell.lab.next.discover import laws_in
 from cell.lab.next.suggest import (
-    MOST_ASKED,
     MOST_CANDIDATES,
+    MOST_REQUESTED,
     distinguishing_motions,
     worth_measuring,
 )
@@ -181,7 +181,7 @@ def world(
         result.tied,
         requested,
         promoted,
-        tuple(f"{g.name} ({g.found})" for g in judgement.gates if not g.passed),
+        tuple(f"{g.name} ({g.text})" for g in judgement.gates if not g.passed),
         before,
         after,
         complete,
@@ -205,7 +205,7 @@ def _learn(
             Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
         ).effects
     result = learn(recorded, task.cable, task.identification, tried, _progress_printer())
-    for done in range(MOST_ASKED):
+    for done in range(MOST_REQUESTED):
         if not result.tied:
             return result, done
         try:
@@ -223,7 +223,7 @@ def _learn(
         measured = RecordedCycle(study.name, Path(study.name), study, None, None, None)
         recorded = [*recorded, measured]
         result = learn(recorded, task.cable, task.identification, tried, _progress_printer())
-    return result, MOST_ASKED
+    return result, MOST_REQUESTED
 
 
 def _progress_printer() -> Callable[[str], None]:

@@ -23,7 +23,7 @@ from scipy.stats import binomtest
 from cell.cable.solver import one_core
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.next.asked import select_asked
+from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.study_power import recover
@@ -93,7 +93,7 @@ def updated_case(case: int, before: PowerCase | None, copies: int) -> PowerCase:
     """Results of a case with `copies` more copies of its study."""
     began = time.process_time()
     name, share, motions = CASES[case]
-    (question,), selection = select_asked([name], [])
+    (question,), selection = effect_queries([name], [])
     study = study_of(case)
     fits = FitCache.of(
         SearchSetup(PreparedStudy.of(study), ParameterSpace.of(study.cable), selection.candidates)

@@ -1,1 +1,1 @@
-"""What goes in and comes out: studies made ready, noise, cycles, limits, checks, results."""
+"""Inputs and results of the lab: prepared studies, noise, cycles, limits, checks, results."""

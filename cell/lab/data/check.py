@@ -42,13 +42,13 @@ EvidenceT = TypeVar("EvidenceT", bound=HasRules)
 class Reading:
     """The value of a check's test statistic.
 
-    effects  that it is about
-    found    the same in words, where the number alone says too little
+    effects  that it concerns
+    text     the same in words, where the number alone is not enough
     """
 
     value: float
     effects: tuple[str, ...] = ()
-    found: str = ""
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,13 @@ class Check(Generic[EvidenceT]):
 
     name       code in JSON, and of the warning if there is one
     unit       of the statistic: p (of noise alone), ln LR (ln of a likelihood ratio), …
-    statistic  the number that answers the question; None where it does not apply
-    passes     how the statistic compares with the limit if all is well
+    statistic  function of the evidence; None where the check does not apply
+    passes     comparison of the statistic with the limit that holds if the check passes
     limit      field of the evidence's `rules`
-    failing    what the verdict is then, unless another check makes it worse; or that a candidate
-               is refused for the line
-    failed     sentence that says so
-    reason     how it is judged, and why so: a test by its name, or what was measured
-    warn       warnings with the numbers of the study; or text with one for each `{effect}`
+    failing    verdict if it fails, unless another check makes it worse; or refusal of a candidate
+    failed     sentence for a failure
+    reason     the test by its name, or the measured quantity, and the reason for the limit
+    warn       function for warnings with the study's numbers; or a text for each `{effect}`
     """
 
     name: str
@@ -79,7 +78,7 @@ class Check(Generic[EvidenceT]):
     warn: Callable[[EvidenceT, Reading], tuple[Doubt, ...]] | str = ""
 
     def evaluate(self, evidence: EvidenceT) -> CheckOutcome[EvidenceT]:
-        """Of a model."""
+        """The outcome for a model."""
         reading, limit = self.statistic(evidence), float(getattr(evidence.rules, self.limit))
         passed = None if reading is None else bool(COMPARE[self.passes](reading.value, limit))
         return CheckOutcome(self, reading, passed, limit)
@@ -95,7 +94,7 @@ class CheckOutcome(Generic[EvidenceT]):
     limit: float = float("nan")
 
     def warnings(self, evidence: EvidenceT) -> tuple[Doubt, ...]:
-        """With the numbers of the study, if it failed."""
+        """Warnings with the numbers of the study, if it failed."""
         warn = self.check.warn
         if self.passed is not False or self.reading is None or not warn:
             return ()
@@ -105,17 +104,17 @@ class CheckOutcome(Generic[EvidenceT]):
 
     @property
     def name(self) -> str:
-        """Of the check."""
+        """Name of the check."""
         return self.check.name
 
     @property
-    def found(self) -> str:
-        """What was found, in words."""
-        return "" if self.reading is None else self.reading.found
+    def text(self) -> str:
+        """The reading in words."""
+        return "" if self.reading is None else self.reading.text
 
     @property
     def result(self) -> CheckResult:
-        """As data."""
+        """The outcome as data."""
         check = self.check
         return CheckResult(
             name=check.name,
@@ -130,12 +129,12 @@ class CheckOutcome(Generic[EvidenceT]):
         )
 
 
-def worst_verdict(found: Sequence[CheckOutcome[Any]], is_base: bool) -> Verdict:
+def worst_verdict(outcomes: Sequence[CheckOutcome[Any]], is_base: bool) -> Verdict:
     """The worst verdict of the failed checks; if none failed, "complete" or "missing".
 
     is_base  nothing was added to the model
     """
-    failed = {a.check.failing for a in found if a.passed is False}
+    failed = {a.check.failing for a in outcomes if a.passed is False}
     if "unexplained" in failed:
         return "unexplained"
     if "cannot_tell" in failed:
@@ -143,7 +142,7 @@ def worst_verdict(found: Sequence[CheckOutcome[Any]], is_base: bool) -> Verdict:
     return "complete" if is_base else "missing"
 
 
-#: A statistic fits on a page.
+#: Largest size of a file with a statistic, bytes.
 MAX_BYTES = 100_000
 
 
@@ -153,8 +152,8 @@ class Residual:
 
     trial         gripper, markers as measured (T, markers, 2), m, and their times, s
     arc_length_m  (markers,) from the gripping point
-    white         (T, markers, channels) residual in standard deviations, all trials together scaled
-                  to rms 1; independent values if the model is complete; nan where not seen.
+    white         (T, markers, channels) residual in standard deviations, all trials jointly scaled
+                  to rms 1; independent values if the model is complete; nan where not observed.
                   Channels are x and y, or one: the distance across a filmed cable
     """
 
@@ -204,20 +203,20 @@ class OwnCheck:
         return value
 
 
-def read_own_checks(paths: Sequence[Path | str], taken: Sequence[str] = ()) -> list[OwnCheck]:
-    """Users' checks from Python files: the docstring asks, `statistic(residuals)` is the test.
+def read_own_checks(paths: Sequence[Path | str], existing: Sequence[str] = ()) -> list[OwnCheck]:
+    """Users' checks from Python files: docstring = question, `statistic(residuals)` = test.
 
-    The files are programs, and they are run.
-    taken   names of checks that there are already
-    raises  InputError: a file that is no check, or of a name that is taken; FileNotFoundError
+    The files are programs, and are executed.
+    existing  names of other checks
+    raises    InputError: a file is no check, or its name is in use; FileNotFoundError
     """
-    found: list[OwnCheck] = []
+    checks: list[OwnCheck] = []
     for path in paths:
         check = _read(Path(path))
-        if check.name in (*taken, *(c.name for c in found)):
+        if check.name in (*existing, *(c.name for c in checks)):
             _refuse(check.file, 1, "name", f"{check.name!r} is taken; rename the file")
-        found.append(check)
-    return found
+        checks.append(check)
+    return checks
 
 
 def _read(path: Path) -> OwnCheck:

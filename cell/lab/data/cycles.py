@@ -1,4 +1,4 @@
-"""Recorded cycles of many cables, read for learning what all of them have in common."""
+"""Recorded cycles of many cables, read for learning a common model."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cell.records.result import Outcome
 from cell.study.data import Study, Trial
 from cell.study.folder import read_study
 
-#: Data sheets of the same cable agree to this.
+#: Relative tolerance of datasheets of the same cable.
 SAME = 1e-6
-#: Why a cycle is left out that ended, or was killed, before its study was written.
+#: Reason to omit a cycle that ended, or was killed, before its study was written.
 UNMEASURED = "nothing was measured"
 NONE_MEASURED = "no cycle here has measurements"
-#: Why a cycle is left out that has the name of another one.
+#: Reason to omit a cycle with the name of another one.
 _TWICE = "the same as {}, or called so; if it is another cable, rename its folder"
 
 
@@ -28,9 +28,9 @@ _TWICE = "the same as {}, or called so; if it is another cable, rename its folde
 class RecordedCycle:
     """The recorded measurements of one cable.
 
-    held      the hold that it was identified from; None = only measured, with motions of its own
+    held      the hold for identification; None = a measurement with its own motions
     executed  the execution; None = there was none
-    product   that was made; None = its settings have no products
+    product   of the cycle; None = its settings have no products
     """
 
     name: str
@@ -47,16 +47,16 @@ def read_cycles(
 ) -> tuple[list[RecordedCycle], list[str]]:
     """Cycles of folders or their subfolders, oldest first; and the cycles left out, with reasons.
 
-    Each counts once, however often it is given: a copy is no other cable.
-    product  cycles that say another one, or none, are left out; None = those that say one are
-    raises  InputError: a folder that holds no cycle, one of another data sheet, or none of use
+    Each counts once, also if a folder occurs repeatedly: a copy is not another cable.
+    product  cycles of another product, or of none, are omitted; None = cycles with a product are
+    raises  InputError: a folder without a cycle, one of another datasheet, or none usable
     """
-    found: list[RecordedCycle] = []
+    cycles: list[RecordedCycle] = []
     left_out: list[str] = []
-    taken: dict[str, Path] = {}
+    folders: dict[str, Path] = {}
     for folder in _folders(runs):
-        if there := taken.get(folder.resolve().name):
-            left_out.append(f"{folder}: {_TWICE.format(there)}")
+        if first := folders.get(folder.resolve().name):
+            left_out.append(f"{folder}: {_TWICE.format(first)}")
             continue
         cycle = _read(folder)
         if cycle is None:
@@ -66,23 +66,23 @@ def read_cycles(
             left_out.append(f"{folder}: of {_of(cycle.product)}, not of {_of(product)}")
             continue
         for name, value in cable.numbers.items():
-            theirs = cycle.study.cable.numbers[name]
-            if not np.isclose(theirs, value, rtol=SAME, atol=0.0):
-                message = f"is {theirs:g}, but {value:g} in the settings; learn from one kind only"
+            stated = cycle.study.cable.numbers[name]
+            if not np.isclose(stated, value, rtol=SAME, atol=0.0):
+                message = f"is {stated:g}, but {value:g} in the settings; learn from one kind only"
                 place = folder / "study" / "study.yaml"
                 raise InputError([Problem(place, 1, None, f"cable.{name}", message)])
-        found.append(cycle)
-        taken[cycle.name] = folder
-    if not found:
+        cycles.append(cycle)
+        folders[cycle.name] = folder
+    if not cycles:
         why = NONE_MEASURED if product is None else f"{NONE_MEASURED} of product {product}"
         raise InputError([Problem(Path(runs[0]), 1, None, "", why)])
-    return sorted(found, key=lambda c: c.name), left_out
+    return sorted(cycles, key=lambda c: c.name), left_out
 
 
 def measured(runs: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """The folders without cycles that recorded no study; and a note on each omitted one.
 
-    raises  InputError: none is left
+    raises  InputError: none remains
     """
     empty = [
         run

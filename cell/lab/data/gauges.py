@@ -1,8 +1,8 @@
 """The wrench at the clamp as two further points of a study's markers, in units of length.
 
-So noise, mesh error and gripper-log error of forces are treated as those of markers.  The first
-point has the force as its coordinates.  The second has the moment, and a second coordinate that is
-never seen.  The unit is chosen so that their noise equals that of the markers.
+Noise, mesh error and gripper-log error of forces are then treated like those of markers.  The
+coordinates of the first point are the force.  Those of the second are the moment and an unused
+coordinate, which is always nan.  The unit makes their noise equal to that of the markers.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from cell.lab.data.noise_model import (
 )
 from cell.study.data import Markers, Study, Trial, Wrench
 
-#: Rows of a wrench that are farther apart than this are not averaged: forces change within it, s.
+#: Longest span of averaged rows of a wrench, s: forces change within it.
 SPAN_S = 0.005
-#: Times that differ by less are one, s.
+#: Times that differ by less are equal, s.
 SAME_S = 1e-6
-#: A cable that is let go is let go of some time before or after what was noted, s.
+#: Uncertainty of the recorded time of a release, s.
 LATE_S = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedTrial:
-    """A trial with its wrench as `AS_POINTS` further points behind the markers, in newtons.
+    """A trial with its wrench as `AS_POINTS` further points after the markers, in newtons.
 
-    wrench  all that the sensor showed, if it showed anything
-    frames, rows  (T,) whether a row is one of the markers', and of the wrench
+    wrench  all samples of the sensor; None if there are none
+    frames, rows  (T,) whether a row has markers, and whether it has a wrench
     """
 
     trial: Trial
@@ -49,26 +49,26 @@ class JoinedTrial:
 
     @property
     def alone(self) -> Trial:
-        """The trial as the rows of its wrench show it."""
+        """The trial with only the rows that have a wrench."""
         t_s, xy_m = self.trial.markers.t_s[self.rows], self.trial.markers.xy_m[self.rows]
         return replace(self.trial, markers=Markers(t_s, xy_m))
 
     @property
     def unaveraged(self) -> Trial:
-        """The trial as each row of its sensor shows it; no markers are seen."""
+        """The trial with each sample of its sensor as a row, and no markers."""
         if self.wrench is None:
             return self.alone
         markers = self.trial.markers.xy_m.shape[1] - AS_POINTS
         places = np.full((len(self.wrench.t_s), markers, 2), np.nan)
         shown = _points(self.wrench.values)
-        seen = Markers(self.wrench.t_s, np.concatenate([places, shown], axis=1))
-        return replace(self.trial, markers=seen)
+        rows = Markers(self.wrench.t_s, np.concatenate([places, shown], axis=1))
+        return replace(self.trial, markers=rows)
 
 
 def joined(trial: Trial, *, averaged: bool = True) -> JoinedTrial:
-    """The trial with its wrench as further points behind the markers.
+    """The trial with its wrench as further points after the markers.
 
-    Only while markers were looked for, and not while fingers hold the cable too.
+    Only during the camera's record, and not while fingers hold the cable too.
 
     averaged  rows of a sensor that is much faster than the camera are replaced by their means
     """
@@ -81,8 +81,8 @@ def joined(trial: Trial, *, averaged: bool = True) -> JoinedTrial:
         if averaged and span_s >= FEWEST_ROWS * _step_s(wrench.t_s) * (1.0 - 1e-9):
             means = row_means(wrench, at_s, span_s)
             t_s, values = at_s, means.of(wrench.values)
-            there = np.flatnonzero(np.isfinite(values).any(axis=1))
-            t_s, values, means = t_s[there], values[there], means.some(there)
+            valid = np.flatnonzero(np.isfinite(values).any(axis=1))
+            t_s, values, means = t_s[valid], values[valid], means.some(valid)
     all_s = np.union1d(times_s, t_s)
     places, rows = np.searchsorted(all_s, times_s), np.searchsorted(all_s, t_s)
     if means is not None:
@@ -91,42 +91,42 @@ def joined(trial: Trial, *, averaged: bool = True) -> JoinedTrial:
     xy_m = np.full((len(all_s), count + AS_POINTS, 2), np.nan)
     xy_m[places, :count] = markers.xy_m
     xy_m[rows, count:] = _points(values)
-    frames, own = np.zeros((2, len(all_s)), dtype=np.bool_)
-    frames[places], own[rows] = True, True
-    shown = Markers(all_s, xy_m, markers.source)
-    told = replace(trial, markers=shown, wrench=None, row_means=means)
-    return JoinedTrial(told, trial.wrench, frames, own)
+    frames, wrench_rows = np.zeros((2, len(all_s)), dtype=np.bool_)
+    frames[places], wrench_rows[rows] = True, True
+    all_markers = Markers(all_s, xy_m, markers.source)
+    extended = replace(trial, markers=all_markers, wrench=None, row_means=means)
+    return JoinedTrial(extended, trial.wrench, frames, wrench_rows)
 
 
 def row_means(wrench: Wrench, at_s: FloatArray, span_s: float) -> RowMeans:
     """Means of the rows of a wrench within a span around each of some times (n,)."""
     first, last = (np.searchsorted(wrench.t_s, at_s + side * span_s) for side in (-0.5, 0.5))
-    seen = np.isfinite(wrench.values)
-    return RowMeans(wrench.t_s, seen, np.arange(len(at_s)), first, last)
+    observed = np.isfinite(wrench.values)
+    return RowMeans(wrench.t_s, observed, np.arange(len(at_s)), first, last)
 
 
 def _while_filmed(trial: Trial) -> Wrench | None:
-    """The rows of a trial's wrench that count; None if there are none."""
+    """The rows of a trial's wrench during the camera's record; None if there are none."""
     if trial.wrench is None:
         return None
     t_s, times_s = trial.wrench.t_s, trial.markers.t_s
     free_s = -np.inf if trial.release_s is None else trial.release_s + LATE_S
-    kept = (t_s >= max(times_s[0], free_s)) & (t_s <= times_s[-1])
-    kept &= np.isfinite(trial.wrench.values).any(axis=1)
-    return Wrench(t_s[kept], trial.wrench.values[kept]) if kept.any() else None
+    used = (t_s >= max(times_s[0], free_s)) & (t_s <= times_s[-1])
+    used &= np.isfinite(trial.wrench.values).any(axis=1)
+    return Wrench(t_s[used], trial.wrench.values[used]) if used.any() else None
 
 
 def _at_frames(wrench: Wrench, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times and values of a wrench, moved to a frame that is at the same time."""
-    near = np.clip(np.searchsorted(times_s, wrench.t_s), 1, len(times_s) - 1)
-    near -= wrench.t_s - times_s[near - 1] < times_s[near] - wrench.t_s
-    same = np.abs(times_s[near] - wrench.t_s) < SAME_S
-    t_s, first = np.unique(np.where(same, times_s[near], wrench.t_s), return_index=True)
+    """Times and values of a wrench, the times of simultaneous frames replaced by theirs."""
+    nearest = np.clip(np.searchsorted(times_s, wrench.t_s), 1, len(times_s) - 1)
+    nearest -= wrench.t_s - times_s[nearest - 1] < times_s[nearest] - wrench.t_s
+    same = np.abs(times_s[nearest] - wrench.t_s) < SAME_S
+    t_s, first = np.unique(np.where(same, times_s[nearest], wrench.t_s), return_index=True)
     return t_s, wrench.values[first]
 
 
 def _spans(times_s: FloatArray) -> tuple[FloatArray, float]:
-    """Times of the frames, and between them if they are few, and the span around each, s."""
+    """Times of the frames, with intermediate ones if the rate is low, and the span of each, s."""
     frame_s = _step_s(times_s)
     parts = max(int(np.ceil(frame_s / SPAN_S - 1e-9)), 1)
     steps = np.append(np.diff(times_s), 0.0)
@@ -138,13 +138,13 @@ def _step_s(times_s: FloatArray) -> float:
 
 
 def _points(values: FloatArray) -> FloatArray:
-    """(T, AS_POINTS, 2) of a wrench (T, AXES): the last coordinate is never seen."""
-    shown = as_points(values)
-    shown[:, -1, -1] = np.nan
-    return shown
+    """(T, AS_POINTS, 2) points of a wrench (T, AXES); the last coordinate is always nan."""
+    points = as_points(values)
+    points[:, -1, -1] = np.nan
+    return points
 
 
-#: A tare is anything up to so many standard deviations of the noise: nothing is known of it.
+#: Prior standard deviation of a tare, in standard deviations of the noise: uninformative.
 TARE = 1e4
 
 
@@ -152,11 +152,11 @@ TARE = 1e4
 class Gauges:
     """How a study's wrenches are represented as points: scale, noise and gain.
 
-    markers     how many points are places
+    markers     number of points that are markers
     force, moment  noise of one value, N and N·m: of a row, or of a mean of rows
-    std_m       noise that the points have, as the markers'
-    inflation   by how much more they are doubted: a model's error that takes the noise's place
-    gain_std    of a sensor's gain in one trial, were it another in each: see `whiteners_of`
+    std_m       noise of the points, equal to the markers'
+    inflation   factor on it, if a model's error replaces the noise
+    gain_std    of a sensor's gain in one trial, as if independent between trials: `whiteners_of`
     joined      per trial its rows of markers and of the wrench, and the measured wrench
     """
 
@@ -178,43 +178,43 @@ class Gauges:
 
     @property
     def noises(self) -> tuple[Noise, ...]:
-        """Of each of the points, with the tare as its bias."""
+        """Noise of each of the points, with the tare as its bias."""
         return tuple(
             replace(m.noise, std_m=self.inflation * self.std_m, bias_m=TARE * self.std_m)
             for m in (self.force, self.moment)
         )
 
     def sensors(self, trial: Trial) -> Sensors | None:
-        """What a whitener is told of a trial's points; None if they are not there."""
+        """Description of a trial's points for the whitener; None if it has none."""
         if not self.are_in(trial):
             return None
-        told, shown = self.joined[trial.name], self.expected.get(trial.name)
-        shown = None if shown is None else shown * self.scale
-        return Sensors(self.noises, self.gain_std, told.frames, told.rows, shown)
+        trial_rows, expected = self.joined[trial.name], self.expected.get(trial.name)
+        expected = None if expected is None else expected * self.scale
+        return Sensors(self.noises, self.gain_std, trial_rows.frames, trial_rows.rows, expected)
 
     def as_expected(self, predicted: Mapping[str, FloatArray]) -> Gauges:
-        """The same given a model that puts points (T, all points, 2) there, by trial."""
-        found = {n: p[:, self.markers :] / self.scale for n, p in predicted.items()}
-        return replace(self, expected={**self.expected, **found})
+        """The same with the expected wrench from a model's points (T, all points, 2), by trial."""
+        expected = {n: p[:, self.markers :] / self.scale for n, p in predicted.items()}
+        return replace(self, expected={**self.expected, **expected})
 
     def with_planned(
         self, trials: Sequence[Trial], gain_std: float, *, averaged: bool = True
     ) -> tuple[tuple[Trial, ...], Gauges]:
-        """Trials that are not recorded yet with their wrenches among the markers, and where."""
-        told = {t.name: joined(t, averaged=averaged) for t in trials}
-        known = replace(self, joined={**self.joined, **told}, gain_std=gain_std)
-        return tuple(j.trial for j in told.values()), known
+        """Planned trials with their wrenches among the markers, and the gauges with these."""
+        planned = {t.name: joined(t, averaged=averaged) for t in trials}
+        gauges = replace(self, joined={**self.joined, **planned}, gain_std=gain_std)
+        return tuple(j.trial for j in planned.values()), gauges
 
     def are_in(self, trial: Trial) -> bool:
-        """Whether a trial has these points: one that is planned has not."""
+        """Whether a trial has these points: a planned one has not."""
         return bool(trial.markers.xy_m.shape[1] == self.markers + AS_POINTS)
 
     def of_markers(self, name: str, rows: FloatArray) -> FloatArray:
-        """(frames, markers, …) of (T, markers + AS_POINTS, …): what is of places."""
+        """(frames, markers, …) part of (T, markers + AS_POINTS, …) that belongs to markers."""
         return np.asarray(rows[self.joined[name].frames, : self.markers])
 
     def of_wrench(self, rows: FloatArray) -> FloatArray:
-        """(T, 3) force, N, and moment, N·m, of (T, markers + AS_POINTS, 2)."""
+        """(T, 3) force, N, and moment, N·m, from (T, markers + AS_POINTS, 2)."""
         values = rows[:, self.markers :] / self.scale
         return np.asarray(values.reshape(len(rows), -1)[:, :3])
 
@@ -231,15 +231,15 @@ def with_gauges(
     """
     if all(t.wrench is None for t in study.trials):
         return study, None
-    told = {t.name: joined(t, averaged=averaged) for t in study.trials}
-    each, markers, sensor = list(told.values()), len(study.arc_length_m), study.sensor
-    force = _noise_model(study.name, each, markers, "force_std_n", sensor.force_std_n)
-    moment = _noise_model(study.name, each, markers + 1, "moment_std_nm", sensor.moment_std_nm)
+    by_name = {t.name: joined(t, averaged=averaged) for t in study.trials}
+    trials, markers, sensor = list(by_name.values()), len(study.arc_length_m), study.sensor
+    force = _noise_model(study.name, trials, markers, "force_std_n", sensor.force_std_n)
+    moment = _noise_model(study.name, trials, markers + 1, "moment_std_nm", sensor.moment_std_nm)
     gain_std = sensor.gain_std * float(np.sqrt(sum(t.wrench is not None for t in study.trials)))
     gauges = Gauges(
-        sensor.gauge, markers, force, moment, std_m, told, inflation=inflation, gain_std=gain_std
+        sensor.gauge, markers, force, moment, std_m, by_name, inflation=inflation, gain_std=gain_std
     )
-    study = replace(study, trials=tuple(j.trial for j in each))
+    study = replace(study, trials=tuple(j.trial for j in trials))
     return scaled(study, gauges, gauges.scale), gauges
 
 
@@ -256,22 +256,22 @@ def scaled(study: Study, gauges: Gauges, factors: FloatArray) -> Study:
 
 def without_gauges(study: Study, gauges: Gauges) -> Study:
     """The study with its wrenches separate from the markers again, as the sensor's rows."""
-    return replace(study, trials=tuple(_parted(t, gauges) for t in study.trials))
+    return replace(study, trials=tuple(_separated(t, gauges) for t in study.trials))
 
 
-def _parted(trial: Trial, gauges: Gauges) -> Trial:
+def _separated(trial: Trial, gauges: Gauges) -> Trial:
     if not gauges.are_in(trial):
         return trial
-    told = gauges.joined[trial.name]
+    joined_trial = gauges.joined[trial.name]
     if trial.row_means is not None:
-        wrench = told.wrench
+        wrench = joined_trial.wrench
     else:
         values = gauges.of_wrench(trial.markers.xy_m)
-        there = np.isfinite(values).any(axis=1)
-        wrench = Wrench(trial.markers.t_s[there], values[there]) if there.any() else None
+        valid = np.isfinite(values).any(axis=1)
+        wrench = Wrench(trial.markers.t_s[valid], values[valid]) if valid.any() else None
     places = replace(
         trial.markers,
-        t_s=trial.markers.t_s[told.frames],
+        t_s=trial.markers.t_s[joined_trial.frames],
         xy_m=gauges.of_markers(trial.name, trial.markers.xy_m),
     )
     return replace(trial, markers=places, wrench=wrench, row_means=None)
@@ -280,7 +280,7 @@ def _parted(trial: Trial, gauges: Gauges) -> Trial:
 def _noise_model(
     name: str, each: Sequence[JoinedTrial], point: int, key: str, stated: float | None
 ) -> NoiseModel:
-    """Of the coordinates of a point, in their unit; `stated` is that of one row of the sensor."""
+    """Noise of a point's coordinates in their unit; `stated`: that of one row of the sensor."""
     columns = slice(point, point + 1)
     trials = [j.alone for j in each]
     series = [v for t in trials for v in t.markers.xy_m[:, point].T if np.isfinite(v).any()]
@@ -289,17 +289,17 @@ def _noise_model(
     blocks = [block for t in trials for block in still_blocks(t, columns)]
     if stated is not None:
         stated *= np.sqrt(_share_of_means(each, point))
-    found = noise_model_of_blocks(blocks, series, stated)
-    if found is None:
+    model = noise_model_of_blocks(blocks, series, stated)
+    if model is None:
         raise NoiseUnknownError(
             f"study {name}: no trial has still rows of the wrench before the gripper moves, so its "
             f"noise is unknown; give wrench.{key} in study.yaml"
         )
-    return found
+    return model
 
 
 def _share_of_means(each: Sequence[JoinedTrial], point: int) -> float:
-    """Variance of a mean of rows over that of one row, of the colour that still rows show."""
+    """Variance of a mean of rows over that of one row, by the autocorrelation at rest."""
     counts = [m.rows.max(axis=1) for j in each if (m := j.trial.row_means) is not None]
     if not counts:
         return 1.0

@@ -19,9 +19,9 @@ from cell.study.folder import read_study, study_folder, write_study
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers
 
-#: Datasheets of the same cable agree to this.
+#: Relative tolerance of datasheets of the same cable.
 SAME = 1e-6
-#: Settings that must agree, and what the cable's motion in the study otherwise mixes.
+#: Settings that must agree, and what the study would mix otherwise.
 SHARED = {
     ("camera",): "pictures of two camera settings",
     ("arm",): "motions of two arms",
@@ -29,10 +29,10 @@ SHARED = {
     ("motion", "home"): "cables grasped in two poses",
     ("world",): "cables of two simulated worlds",
 }
-#: How fast a simulated world runs, and how finely, is not a property of its cables.
+#: Settings of a simulated world's speed and mesh, which are no properties of its cables.
 _PACE = {("world", "real_time_factor"), ("world", "segments")}
-#: The same cable in the same attitude hangs alike to this share of its free length; individuals
-#: differ by a tenth.
+#: Tolerance of the rest shape of one cable in one attitude, as share of the free length;
+#: individuals differ by a tenth.
 SAME_SHAPE = 0.02
 SAME_ANGLE_RAD = 0.01
 
@@ -48,23 +48,22 @@ class _Cycle:
 
 
 def merge_studies(runs: Sequence[Path], name: str) -> Study:
-    """One study, merged from the studies in cycles' folders (or from given studies).
+    """One study, merged from the studies in cycles' folders (or from study folders).
 
-    The first cycle's roles are kept; later cycles' trials are only compared with, so that what was
-    fitted stays what one cable showed.  Trials are named after their cycle's folder.  The noise of
-    markers and wrenches, and the uncertainty of arc lengths, is the largest that any of them
-    states.  Wrong samples of what the cell filmed are left out, and copies of other trials; the
-    notes say which.
-    raises  InputError: a folder has no study or is given twice, two trials have one name then, or
-            it is of another cable, markers, gravity, camera, arm, gripper or home, or shows
-            another individual
+    The first cycle keeps its roles; later cycles' trials are held out, so that the fit trials are
+    of one recording.  Trials are named after their cycle's folder.  Noise of markers and wrenches,
+    and uncertainty of arc lengths, are the largest stated ones.  Outliers of what the cell filmed
+    and copies of other trials are omitted, with notes.
+    raises  InputError: a folder has no study or occurs twice, two trials would have one name, or it
+            is of another cable, markers, gravity, camera, arm, gripper or home, or of another
+            individual
     """
     if not runs:
         raise ValueError("no cycle given")
     cycles = [_read(run) for run in runs]
     first, *others = cycles
-    problems = [*_twice(cycles), *(p for cycle in others for p in _apart(first, cycle))]
-    if others and not problems:  # one study alone is of one cable, as whoever wrote it says
+    problems = [*_duplicates(cycles), *(p for cycle in others for p in _differences(first, cycle))]
+    if others and not problems:  # a single study is of one cable as stated
         problems = list(_individuals(cycles))
     if problems:
         raise InputError(problems)
@@ -78,8 +77,8 @@ def merge_studies(runs: Sequence[Path], name: str) -> Study:
         for trial in cycle.study.trials
     ]
     notes = tuple(note for cycle in cycles for note in cycle.study.notes)
-    made = replace(first.study, name=name, trials=tuple(trials), notes=notes)
-    return without_copies(_with_largest_errors(made, [cycle.study for cycle in cycles]))
+    merged = replace(first.study, name=name, trials=tuple(trials), notes=notes)
+    return without_copies(_with_largest_errors(merged, [cycle.study for cycle in cycles]))
 
 
 def _merged_name(cycle: _Cycle, trial: Trial) -> str:
@@ -111,11 +110,11 @@ def _largest(stated: Iterable[float | None]) -> float | None:
 def merge_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
     """The studies of cycles merged into one, written to a folder and named after it.
 
-    returns  the study; and which cycles were left out because nothing was measured in them
+    returns  the study; and notes on omitted cycles without measurements
     raises   InputError: as `merge_studies`, or nothing was measured in any
     """
-    found, left_out = measured(runs)
-    study = merge_studies(found, folder.name)
+    recorded, left_out = measured(runs)
+    study = merge_studies(recorded, folder.name)
     write_study(study, folder)
     return study, left_out
 
@@ -131,48 +130,48 @@ def _read(run: Path) -> _Cycle:
     )
 
 
-def _twice(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
+def _duplicates(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
     for i, cycle in enumerate(cycles):
         if cycle.name in {c.name for c in cycles[:i]}:
             message = f"{cycle.name!r} is given twice; trials are named after it: leave one out"
             yield Problem(cycle.folder / "study.yaml", 1, None, "", message)
             return
-    taken: dict[str, Path] = {}
+    owners: dict[str, Path] = {}
     for cycle in cycles:
         for trial in cycle.study.trials:
             name = _merged_name(cycle, trial)
-            there = taken.setdefault(name, cycle.folder)
-            if there != cycle.folder:
-                message = f"a trial of {there} would be called {name!r}, too; rename one folder"
+            owner = owners.setdefault(name, cycle.folder)
+            if owner != cycle.folder:
+                message = f"a trial of {owner} would be called {name!r}, too; rename one folder"
                 yield Problem(cycle.folder / "study.yaml", 1, None, "trials", message)
 
 
-def _apart(first: _Cycle, other: _Cycle) -> Iterator[Problem]:
-    """Why two cycles cannot be in one study, as far as data sheet and settings tell."""
+def _differences(first: _Cycle, other: _Cycle) -> Iterator[Problem]:
+    """Problems of merging two cycles, by datasheet and settings."""
     header = other.folder / "study.yaml"
-    ours, theirs = (_sheet(c.study) for c in (first, other))
-    for what, value in ours.items():
-        shown = theirs[what]
-        if value.shape != shown.shape or not np.allclose(value, shown, rtol=SAME):
+    first_sheet, other_sheet = (_sheet(c.study) for c in (first, other))
+    for field, value in first_sheet.items():
+        stated = other_sheet[field]
+        if value.shape != stated.shape or not np.allclose(value, stated, rtol=SAME):
             message = (
-                f"is {_values(shown)}, but {_values(value)} in {first.folder}; merge them apart"
+                f"is {_values(stated)}, but {_values(value)} in {first.folder}; merge them apart"
             )
-            yield Problem(header, 1, None, what, message)
+            yield Problem(header, 1, None, field, message)
     if first.settings is None or other.settings is None:
         return
     for key, mixed in SHARED.items():
-        were, are = (dict(_leaves(_at(d.data, key), key)) for d in (first.settings, other.settings))
-        for leaf in sorted({*were, *are} - _PACE):
-            if were.get(leaf) != are.get(leaf):
+        was, now = (dict(_leaves(_at(d.data, key), key)) for d in (first.settings, other.settings))
+        for leaf in sorted({*was, *now} - _PACE):
+            if was.get(leaf) != now.get(leaf):
                 message = (
-                    f"is {are.get(leaf)}, but {were.get(leaf)} in {first.settings.path}: {mixed} "
+                    f"is {now.get(leaf)}, but {was.get(leaf)} in {first.settings.path}: {mixed} "
                     "do not make one study; merge them apart"
                 )
-                yield other.settings.problem(leaf if leaf in are else key, message)
+                yield other.settings.problem(leaf if leaf in now else key, message)
 
 
 def _sheet(study: Study) -> dict[str, FloatArray]:
-    """What is stated of cable and markers."""
+    """Stated properties of cable and markers."""
     return {
         "cable": np.array(list(study.cable.numbers.values())),
         "markers.arc_length_m": study.arc_length_m,
@@ -187,8 +186,8 @@ def _sheet(study: Study) -> dict[str, FloatArray]:
 
 
 def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
-    """Trials whose cable hangs otherwise than one in the same attitude before it."""
-    known: list[tuple[float, FloatArray, str]] = []
+    """Problems of trials whose rest shape differs from an earlier one in the same attitude."""
+    earlier: list[tuple[float, FloatArray, str]] = []
     for cycle in cycles:
         study = cycle.study
         limit_m = max(SAME_SHAPE * study.cable.free_length_m, 6.0 * (study.noise_std_m or 0.0))
@@ -197,11 +196,11 @@ def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
             if hanging is None:
                 continue
             angle, shape_m = hanging
-            for other_angle, other_m, where in known:
+            for other_angle, other_m, where in earlier:
                 if abs(angle - other_angle) > SAME_ANGLE_RAD:
                     continue
-                apart = np.linalg.norm(shape_m - other_m, axis=1)
-                apart_m = float(np.max(apart[np.isfinite(apart)], initial=0.0))
+                distances = np.linalg.norm(shape_m - other_m, axis=1)
+                apart_m = float(np.max(distances[np.isfinite(distances)], initial=0.0))
                 if apart_m > limit_m:
                     message = (
                         f"the resting cable is {apart_m * 1e3:.1f} mm away from that of {where} at "
@@ -212,7 +211,7 @@ def _individuals(cycles: Sequence[_Cycle]) -> Iterator[Problem]:
                     yield Problem(table, 2, None, "", message)
                     break
             else:
-                known.append((angle, shape_m, f"{cycle.name}/{trial.name}"))
+                earlier.append((angle, shape_m, f"{cycle.name}/{trial.name}"))
 
 
 def _hanging(trial: Trial) -> tuple[float, FloatArray] | None:
@@ -222,9 +221,9 @@ def _hanging(trial: Trial) -> tuple[float, FloatArray] | None:
     from_gripper_m = trial.markers.xy_m[still] - [grip.x_m[0], grip.y_m[0]]
     if trial.start != "equilibrium" or len(from_gripper_m) == 0:
         return None
-    seen = np.isfinite(from_gripper_m)
-    count = seen.sum(axis=0)
-    total = np.sum(np.where(seen, from_gripper_m, 0.0), axis=0)
+    observed = np.isfinite(from_gripper_m)
+    count = observed.sum(axis=0)
+    total = np.sum(np.where(observed, from_gripper_m, 0.0), axis=0)
     return float(grip.angle_rad[0]), np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

@@ -19,7 +19,7 @@ class EffectSelection:
     """The effects that a command works with: those in the model, and candidates.
 
     in_model    part of the model from the start
-    candidates  by name: those that may be found missing, the library's included
+    candidates  by name: effects that may be missing, the library's included
     """
 
     in_model: tuple[type[Effect], ...]
@@ -28,35 +28,35 @@ class EffectSelection:
     @property
     def own(self) -> dict[str, type[Effect]]:
         """A user's own effects by name, from files."""
-        given = (*self.in_model, *self.candidates.values())
-        return {e.name: e for e in given if e.file is not None}
+        effects = (*self.in_model, *self.candidates.values())
+        return {e.name: e for e in effects if e.file is not None}
 
 
 def select_effects(in_model: Sequence[str], candidates: Sequence[str] = ()) -> EffectSelection:
     """Effects by name, or from a user's own files (`….py`); candidates join the library.
 
-    raises  ValueError: unknown, given twice, or of a library effect's name; EffectError;
+    raises  ValueError: unknown, a duplicate, or of a library effect's name; EffectError;
             FileNotFoundError
     """
     effects: dict[str, type[Effect]] = {}
-    options = [("--with", given) for given in in_model] + [("--try", given) for given in candidates]
-    for option, given in options:
-        effect = effect_named(given)
+    options = [("--with", name) for name in in_model] + [("--try", name) for name in candidates]
+    for option, name in options:
+        effect = effect_named(name)
         if effect.name in effects:
             raise ValueError(
-                f"{option} {given}: another effect {effect.name!r} is given too; leave one out, "
+                f"{option} {name}: another effect {effect.name!r} is given too; leave one out, "
                 "or rename one (`name = …` in its file)"
             )
         effects[effect.name] = effect
     chosen = list(effects.values())
-    more = {e.name: e for e in chosen[len(in_model) :]}
-    return EffectSelection(tuple(chosen[: len(in_model)]), library() | more)
+    added = {e.name: e for e in chosen[len(in_model) :]}
+    return EffectSelection(tuple(chosen[: len(in_model)]), library() | added)
 
 
 def select_for_diagnosis(tried: Sequence[str], known: Sequence[str]) -> EffectSelection:
     """As `select_effects`, for a diagnosis: effects to try, and effects of the model.
 
-    raises  ValueError: one is tried anyway
+    raises  ValueError: an effect to try is in the library
     """
     for name in tried:
         if name in library():
@@ -67,7 +67,7 @@ def select_for_diagnosis(tried: Sequence[str], known: Sequence[str]) -> EffectSe
 
 
 def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[str], list[str]]:
-    """Files of effects in a folder that can be tried, in order; why each of the others cannot.
+    """Valid effect files in a folder, in order; and notes on the refused ones.
 
     A file that could do more than compute is not run.  The others run in sandboxes, now and later.
     raises  ValueError: it is no folder, or holds no Python file
@@ -93,22 +93,22 @@ def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[
     return good, refused
 
 
-def effect_named(given: str) -> type[Effect]:
-    """The effect of a name, or of a user's own file.
+def effect_named(text: str) -> type[Effect]:
+    """The effect with a name, or of a user's own file.
 
     raises  as `select_effects`
     """
-    known = known_effects()
-    if given.endswith(".py"):
-        effect = effect_from(given)
+    effects = known_effects()
+    if text.endswith(".py"):
+        effect = effect_from(text)
         if effect.name in library():
             raise ValueError(
-                f"{given}: its name {effect.name!r} is that of an effect of the library; "
+                f"{text}: its name {effect.name!r} is that of an effect of the library; "
                 "rename it (`name = …` in the file)"
             )
         return effect
-    if given not in known:
-        close = difflib.get_close_matches(given, known, 1, 0.5)
-        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-        raise ValueError(f"{given}: no such effect; {hint}; your own as its file.py")
-    return known[given]
+    if text not in effects:
+        close = difflib.get_close_matches(text, effects, 1, 0.5)
+        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(effects)}"
+        raise ValueError(f"{text}: no such effect; {hint}; your own as its file.py")
+    return effects[text]

@@ -17,7 +17,7 @@ from cell.identify.golden_section import where_least
 from cell.identify.innovations import frames_since, made_white
 from cell.identify.noise import Noise
 
-#: Strongest correlation of neighbouring frames that is believed.
+#: Largest credible correlation of neighbouring frames.
 MAX_AR1 = 0.98
 #: A change of level or of 1 − ρ below this share changes no result.
 NEGLIGIBLE_CHANGE = 0.005
@@ -26,18 +26,18 @@ NEGLIGIBLE_CHANGE = 0.005
 CHI2_999 = 16.3
 #: The same of the level that is printed: a 95 % interval (χ² of 1 degree of freedom).
 CHI2_95 = 3.84
-#: AR(1) correlations that are compared, evenly in the logarithm of 1 − ρ, on which slow noise
-#: depends; and white shares with them, of values that are rounded.
+#: Grid of AR(1) correlations, evenly spaced in the logarithm of 1 − ρ, on which slow noise depends;
+#: and of white shares, for rounded values.
 AR1_GRID = 1.0 - (1.0 - MAX_AR1) ** np.linspace(0.0, 1.0, 121)
 WHITE_SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-#: Highest degree of the polynomials subtracted from a cable that settles, and from one that drifts.
+#: Highest degree of the subtracted polynomials, of a cable that settles, and of one that drifts.
 DEGREE, DRIFT_DEGREE = 2, 5
-#: Rounding to less than this share of the noise adds nothing white that can be detected.
+#: Rounding to less than this share of the noise adds no detectable white noise.
 DETECTABLE_ROUNDING = 0.25
-#: Still frames show the level of values that are rounded to less than so many standard deviations.
+#: Rounding to more than this many standard deviations hides the noise of still frames.
 HIDING_ROUNDING = 2.0
-#: The projection is computed at so many correlations, and between them by a cubic spline: to 0.03
-#: of −2 ln of the likelihood where the projected directions span all.
+#: Number of correlations at which the projection is computed; between them a cubic spline, with an
+#: error of 0.03 in −2 ln of the likelihood where the projected directions span all.
 NODES = 13
 
 
@@ -45,7 +45,7 @@ NODES = 13
 class StillBlock:
     """Coordinates of one trial at rest: (frames, series), none missing.
 
-    series  which of the trial's coordinates they are: 2 · marker + axis
+    series  indices of the trial's coordinates: 2 · marker + axis
     """
 
     z_m: FloatArray
@@ -68,7 +68,7 @@ class RestFrames:
     def of(
         blocks: Sequence[StillBlock], resolution_m: float, max_degree: int = DEGREE
     ) -> RestFrames:
-        """With polynomials of the degree that the blocks need, by BIC."""
+        """The likelihood with polynomials of the degree selected by BIC."""
         rests = [
             RestFrames(tuple(blocks), degree, resolution_m) for degree in range(max_degree + 1)
         ]
@@ -76,7 +76,7 @@ class RestFrames:
 
     @cached_property
     def bic(self) -> float:
-        """Of its polynomials with the likeliest correlation."""
+        """BIC of its polynomials with the likeliest correlation."""
         square, _, _ = self.sums(self.ar1)
         log_det = sum(b.z_m.shape[1] * _whitened(b.z_m, self.ar1)[1] for b in self.blocks)
         count = sum(b.z_m.size for b in self.blocks)
@@ -97,7 +97,7 @@ class RestFrames:
 
     @property
     def frames(self) -> int:
-        """Of the longest series."""
+        """Number of frames of the longest series."""
         return max(len(b.z_m) for b in self.blocks)
 
     def likeliest(self) -> tuple[Noise, float]:
@@ -109,12 +109,12 @@ class RestFrames:
         return Noise(std_m, self.ar1), float(dof)
 
     def is_hidden(self, std_m: float) -> bool:
-        """Whether values are rounded so much that a cable at rest does not show their error."""
+        """Whether rounding hides the noise of a cable at rest."""
         return self.resolution_m > HIDING_ROUNDING * std_m
 
     @cached_property
     def noises(self) -> list[tuple[float, float]]:
-        """AR(1) correlations and white shares that are compared."""
+        """Grid of AR(1) correlations and white shares."""
         square, dof, _ = self.sums(0.0)
         rounded = self.resolution_m > DETECTABLE_ROUNDING * float(np.sqrt(square / dof))
         whites = WHITE_SHARES if rounded else WHITE_SHARES[:1]
@@ -127,7 +127,7 @@ class RestFrames:
         square, dof, fixed = sums.T
         level = np.maximum(square / dof, 1e-24)
         profile = dof * np.log(level) + fixed
-        # the likeliest level, not the least: within a short rest slow noise varies little
+        # the likeliest level, not the smallest: within a short rest slow noise varies little
         if self.is_hidden(float(np.sqrt(level[np.argmin(profile)]))):
             one_step_m2 = 0.25 * self.resolution_m**2 / dof  # a value that changed a step once
             zero = np.zeros(len(level))
@@ -141,7 +141,7 @@ class RestFrames:
     def sums(self, ar1: float, white: float = 0.0) -> tuple[float, int, float]:
         """Innovations' square, its degrees of freedom, and log determinants, for a noise.
 
-        What is white in motion is rounding for the most part, and that is not white at rest.
+        The white share in motion is mostly rounding, which is not white at rest.
         """
         square, dof, log_det = self._sums(ar1, white, 0.0)
         if white == 0.0:
@@ -177,7 +177,7 @@ class RestFrames:
 
 @dataclass(frozen=True, eq=False)
 class ConfidenceSet:
-    """Noise levels that frames at rest allow, on a grid of correlations and white shares.
+    """Confidence set of noise levels from rest, on a grid of correlations and white shares.
 
     level_m2   likeliest variance
     ratio      its −2 ln likelihood less that of the best
@@ -196,8 +196,8 @@ class ConfidenceSet:
     def within(self, limit: float) -> tuple[FloatArray, FloatArray]:
         """Least and largest variance with a likelihood ratio below a limit, m².
 
-        The least is infinite for a correlation and share that do not reach it.  Rounding errs by at
-        least as much as steps of that size do, and may add as much to what the rest has shown.
+        The least is infinite for a correlation and share outside the set.  Its lower bound is the
+        variance of rounding, which may also add to the noise at rest.
         source  Wilks 1938; u − ln u = 1 + k is solved by Lambert's W
         """
         of_rounding = self.resolution_m**2 / 12.0
@@ -209,7 +209,7 @@ class ConfidenceSet:
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """95 % interval of the level, whatever correlation and share."""
+        """95 % interval of the level over all correlations and shares."""
         least, largest = self.within(CHI2_95)
         inside = least <= largest
         return float(np.sqrt(least[inside].min())), float(np.sqrt(largest[inside].max()))
@@ -234,7 +234,7 @@ class ProjectedResidual:
 
     @cached_property
     def _trials(self) -> list[tuple[FloatArray, NDArray[np.bool_], NDArray[np.int_]]]:
-        """Per trial: errors (times, channels, 1), 0 if missing; which are not; frames since."""
+        """Per trial: errors (times, channels, 1), 0 if missing; their mask; frames since."""
         present = [np.isfinite(e) for e in self.errors_m]
         return [
             (np.where(p, e, 0.0)[..., None], p, frames_since(p))
@@ -246,8 +246,8 @@ class ProjectedResidual:
     ) -> tuple[FloatArray, FloatArray]:
         """By correlation and white share: the innovations' square, m², and log determinant.
 
-        nan of a noise that is not wanted.  The likelihood is restricted to the complement of the
-        directions: slow noise is like them, so that much of it was projected out.
+        nan for a noise that is not wanted.  The likelihood is restricted to the complement of the
+        directions: slow noise resembles them, so that much of it was projected out.
         source  Patterson & Thompson 1971, Biometrika 58, 545
         """
         sums = np.full((len(noises), 2), np.nan)
@@ -261,7 +261,7 @@ class ProjectedResidual:
         return sums[:, 0], sums[:, 1]
 
     def _by_projection(self, sums: FloatArray, noises: Sequence[tuple[float, float]]) -> FloatArray:
-        """Changes of sums, of noises of one white share, by the projection; interpolated."""
+        """Changes of sums by the projection, for noises of one white share; interpolated."""
         nodes = np.unique(np.linspace(0, len(noises) - 1, NODES).round().astype(int))
         exact = np.array([self._of(noises[i], projected=True) for i in nodes])
         if len(nodes) == len(noises):
@@ -272,7 +272,7 @@ class ProjectedResidual:
         return np.stack([sums[:, 0] * (ratio - 1.0), log_det], axis=1)
 
     def _of(self, noise: tuple[float, float], *, projected: bool) -> tuple[float, float]:
-        """Square and log determinant, of all or orthogonal to the directions."""
+        """Square and log determinant, in total or orthogonal to the directions."""
         size = self.basis[0].shape[-1] * projected + 1
         gram, log_det = np.zeros((size, size)), 0.0
         for (values, present, since), basis in zip(self._trials, self.basis, strict=True):
@@ -301,10 +301,10 @@ def dof_of(log_level: FloatArray, cost: FloatArray, dof: float) -> float:
     return 2.0 / variance
 
 
-def nearly_equal(one: Noise, other: Noise) -> bool:
+def nearly_equal(first: Noise, second: Noise) -> bool:
     """Whether two noises differ only by a negligible amount."""
-    level = abs(np.log(one.std_m / other.std_m))
-    memory = abs(np.log((1.0 - one.ar1) / (1.0 - other.ar1)))
+    level = abs(np.log(first.std_m / second.std_m))
+    memory = abs(np.log((1.0 - first.ar1) / (1.0 - second.ar1)))
     return bool(max(level, memory) < NEGLIGIBLE_CHANGE)
 
 
@@ -325,10 +325,10 @@ def rounding_ar1(variance_m2: float, ar1: float, white: float, step_m: float) ->
     """Correlation of neighbouring frames, at rest, of the white share of a noise.
 
     variance_m2  of the noise
-    white        its share that is new in every frame, or rounding to `step_m`
+    white        its share that is independent between frames, or rounding to `step_m`
 
-    The error of rounding is a sawtooth of the value.  Of each of its harmonics frames between which
-    the value changes by a normal amount have the characteristic function of that for a correlation.
+    The rounding error is a sawtooth function of the value.  If the value changes by a normally
+    distributed amount between frames, each harmonic's correlation is its characteristic function.
     source  Sripad & Snyder 1977, IEEE Trans. Acoust. 25, 442
     """
     of_rounding = step_m**2 / 12.0

@@ -4,10 +4,10 @@ The error of a coordinate is Gaussian AR(1) noise, with a white share where valu
 (`cell.identify.noise.Noise`; likelihoods: `noise_likelihood`).  `noise_model_of` estimates level
 and correlation from the frames at rest, and `with_levels` levels of single markers and trials where
 they differ.  Given a fitted model, `noise_model_of_all_frames` maximises the likelihood of rest and
-motion within the confidence set from rest; `cell.lab.fit.corrections.with_noise_given` calls it,
-for the baseline and once more for the selected model.  A stated level is kept instead, and the
-correlation is then at most that of a model's residuals (`noise_model_of_residuals`).  The field
-`noise` of `PreparedStudy` is the result, with which residuals are whitened.
+motion within the confidence set from rest; `with_conditional_noise` of `cell.lab.fit.corrections`
+calls it, for the baseline and again for the selected model.  A stated level is not re-estimated,
+and the correlation is then at most that of a model's residuals (`noise_model_of_residuals`).  The
+field `noise` of `PreparedStudy` is the result, with which residuals are whitened.
 """
 
 from __future__ import annotations
@@ -38,18 +38,17 @@ from cell.lab.data.noise_likelihood import (
 )
 from cell.study.data import Study, Trial
 
-#: Fewer still frames than this are no evidence of noise.
+#: Fewest still frames for an estimate of noise.
 MIN_STILL_FRAMES = 6
-#: A level is known if the rest would not allow an error as large as the noise in addition.
+#: A level is known if the upper bound of its mean square is below this multiple of the estimate.
 KNOWN_WITHIN = 2.0
-#: Levels differ if chance makes them differ so much with this probability.  Few still frames with
-#: outliers reach 1e-3 in 1 of 100 studies; markers of which some have twice the noise of others
-#: reach 1e-13.
+#: p-value below which levels differ.  Few still frames with outliers reach 1e-3 in 1 of 100
+#: studies; markers of which some have twice the noise of others reach 1e-13.
 DIFFERENT_LEVELS = 1e-4
-#: A marker at rest whose values are rounded to more than so many standard deviations shows the more
-#: noise the nearer it is to a step: no level of its own.
+#: If rounding exceeds this many standard deviations, markers get no level of their own: noise at
+#: rest then depends on the distance to the next rounding step.
 LEVELS_ROUNDED = 1.0
-#: A level is limited to this factor from the median: repeated values are not new measurements.
+#: Largest factor of a level from the median: repeated values are not new measurements.
 LARGEST_FACTOR = 5.0
 
 
@@ -74,14 +73,14 @@ class NoiseModel:
     """The noise of the markers, and the uncertainty of its level.
 
     dof       degrees of freedom of the level; `inf` if the study states it
-    autocorrelated  whether still frames have shown its AR(1) correlation
-    correlated_channels  channels with one common error, as of markers on a fitted shape: so many
-              values contain the information of one
+    autocorrelated  whether its AR(1) correlation is estimated from still frames
+    correlated_channels  number of channels with a common error, as of markers on a fitted shape:
+              this many values have the information of one
     rest      likelihood of the frames at rest; None if the level is stated
     range_m   95 % interval of the level from rest alone, m; None before motion is used
-    hidden    values are rounded so much that still frames do not show their error
+    hidden    rounding hides the noise of still frames
     slow      degrees of freedom of the level of its slow part; None: as of a known correlation
-    levels    by trial, where still frames show that markers or trials differ
+    levels    by trial, if still frames show that markers or trials differ
     """
 
     noise: Noise
@@ -101,17 +100,17 @@ class NoiseModel:
 
     @property
     def allowed_over_level(self) -> float | None:
-        """Largest mean square that the rest allows, over the likeliest; None if it is stated."""
+        """Upper bound of the mean square from rest, over the estimate; None if stated."""
         return None if self.range_m is None else (self.range_m[1] / self.noise.std_m) ** 2
 
     @property
     def frames_needed(self) -> int:
-        """Still frames of a trial after which the level would be known, as many trials as here."""
+        """Still frames per trial needed to know the level, for the same number of trials."""
         allowed = self.allowed_over_level
         if self.rest is None or allowed is None:
             return 0
-        known, wanted = (np.log(r) + 1.0 / r - 1.0 for r in (allowed, KNOWN_WITHIN))
-        return int(10 * np.ceil(0.1 * self.rest.frames * max(known / wanted, 1.0)))
+        present, wanted = (np.log(r) + 1.0 / r - 1.0 for r in (allowed, KNOWN_WITHIN))
+        return int(10 * np.ceil(0.1 * self.rest.frames * max(present / wanted, 1.0)))
 
     def differs_from(self, other: NoiseModel) -> bool:
         """Whether this noise makes another's level unlikely (95 %), by a likelihood ratio."""
@@ -120,7 +119,7 @@ class NoiseModel:
 
     @property
     def for_whitening(self) -> Noise:
-        """Noise of independent markers with as much information."""
+        """Equivalent noise of independent markers with the same information."""
         if self.correlated_channels == 1.0:
             return self.noise
         return replace(
@@ -139,7 +138,7 @@ class NoiseModel:
 
     @property
     def slow_dof(self) -> float:
-        """Degrees of freedom of the level of its slow part, which the correlation decides.
+        """Degrees of freedom of the level of its slow part, which depends on the correlation.
 
         That level is the innovations' variance over (1 − ρ)²; the variance of ρ is (1 − ρ²) / n.
         """
@@ -156,7 +155,7 @@ class NoiseModel:
 
     @property
     def values_per_slow_dof(self) -> float:
-        """Values that determine the level of the slow part as well as one does the whole level."""
+        """Values with the information on the slow part's level that one has on the total level."""
         return 1.0 + 2.0 / self.noise.effective_fraction
 
 
@@ -165,7 +164,7 @@ def noise_model_of(study: Study) -> NoiseModel:
 
     Restricted maximum likelihood of level and AR(1) correlation; each coordinate of each trial has
     its own mean, and its own slope or parabola where the cable is still settling (chosen by BIC).
-    A level stated in the study is kept and only its correlation estimated.
+    A level stated in the study is used, and only its correlation estimated.
 
     raises  NoiseUnknownError: no still frames and no stated level
     """
@@ -190,8 +189,8 @@ def noise_model_of_blocks(
 ) -> NoiseModel | None:
     """Noise from still blocks of series; None if there are no blocks and no stated level.
 
-    series      (frames,) each, of which the step of rounding is estimated
-    stated      the level, kept as it is
+    series      (frames,) each, to estimate the step of rounding
+    stated      level, which is then not estimated
     max_degree  of the polynomials that are subtracted
     """
     if not blocks:
@@ -206,7 +205,7 @@ def noise_model_of_blocks(
 def still_blocks(trial: Trial, markers: slice) -> list[StillBlock]:
     """Longest gap-free runs of still frames, by coordinate; equal runs share a block.
 
-    So that a lost frame costs what came before or after it, and not the marker.
+    After a missing frame, the longer part of a marker's series is used.
     """
     still = still_frames(trial.markers.t_s, trial.grip, trial.rests_until_s)
     series_m = trial.markers.xy_m[still, markers]
@@ -229,16 +228,16 @@ def still_blocks(trial: Trial, markers: slice) -> list[StillBlock]:
 def _series(study: Study) -> list[FloatArray]:
     """(frames,) coordinates of all markers of all trials."""
     markers = len(study.arc_length_m)
-    each = (t.markers.xy_m[:, :markers].reshape(len(t.markers.t_s), -1).T for t in study.trials)
-    return [values for of_trial in each for values in of_trial]
+    series = (t.markers.xy_m[:, :markers].reshape(len(t.markers.t_s), -1).T for t in study.trials)
+    return [values for of_trial in series for values in of_trial]
 
 
 def noise_model_of_all_frames(noise_model: NoiseModel, residual: ProjectedResidual) -> NoiseModel:
     """The noise of highest likelihood over rest and motion, within the confidence set from rest.
 
-    Few still frames leave level and correlation uncertain, and a wrong noise that is taken as known
-    looks like a misfit.  Motion has more values, but may contain a misfit, too: so it decides only
-    within the confidence set, and what is beyond is not noise.
+    Few still frames determine level and correlation badly, and a wrong noise looks like a misfit.
+    Motion has more values, but may contain a misfit: so it is used only within the confidence set,
+    and any excess over that is not noise.
     source  Berger and Boos 1994, J. Am. Stat. Assoc. 89, 1012: nuisances within a confidence set
     """
     if noise_model.rest is None:
@@ -267,12 +266,11 @@ def noise_model_of_all_frames(noise_model: NoiseModel, residual: ProjectedResidu
 
 
 def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArray]) -> NoiseModel:
-    """A stated noise with the correlations that a fitted model's residuals have.
+    """A stated noise with the correlations of a fitted model's residuals.
 
-    A study that states its error has it from elsewhere: from shapes fitted to pictures, say, which
-    err along the whole cable at once and for several frames.  A misfit is slow and along the whole
-    cable, too, so that the residual is no less correlated than the error: its AR(1) correlation
-    bounds the error's.
+    A stated error may be correlated along the cable and over several frames, as of shapes fitted to
+    images.  A misfit is correlated too, so that the residual is no less correlated than the error:
+    its AR(1) correlation is an upper bound of the error's.
 
     errors  per trial (times, channels), m, nan if missing
     source  (tr K)² / tr K² of the channels' correlations K, less the expected chance part
@@ -300,7 +298,7 @@ def noise_model_of_residuals(noise_model: NoiseModel, errors: Sequence[FloatArra
 def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     """The noise of a study, with the level of each marker of each trial, if they differ.
 
-    Unchanged where the study states the noise, or where rounding changes what still frames show.
+    Unchanged if the study states the noise, or if rounding distorts the noise of still frames.
     source  Levene 1960; Brown & Forsythe 1974, J. Am. Stat. Assoc. 69, 364
     """
     rest = noise_model.rest
@@ -316,7 +314,7 @@ def with_levels(study: Study, noise_model: NoiseModel) -> NoiseModel:
     levels, variance = groups.pooled(len(study.trials), len(study.arc_length_m))
     counts = [np.isfinite(t.markers.xy_m[:, markers]).sum(axis=(0, 2)) for t in study.trials]
     levels = np.asarray(levels / np.sqrt(np.average(levels**2, weights=np.array(counts))))
-    # of a mean square over the markers, each of which is so uncertain
+    # degrees of freedom of the mean square over markers
     share = levels**2 / np.sum(levels**2, axis=1, keepdims=True)
     dof = 2.0 / np.sum(share**2 * variance, axis=1)
     scaled = [
@@ -349,7 +347,7 @@ def with_level_in(
 
 @dataclass(frozen=True, eq=False)
 class _GroupLevels:
-    """The noise of each marker of each trial, from still frames; all arrays by such a group.
+    """The noise of each marker of each trial (a group), from still frames; arrays by group.
 
     root       mean of the square roots of innovations' magnitudes, robust to outliers
     count      of values
@@ -366,7 +364,7 @@ class _GroupLevels:
     def of(
         blocks: Sequence[Sequence[StillBlock]], rest: RestFrames, ar1: float
     ) -> _GroupLevels | None:
-        """Of still blocks by trial; None if there are none."""
+        """The levels from still blocks by trial; None if there are none."""
         roots: dict[tuple[int, int], list[FloatArray]] = {}
         for trial, of_trial in enumerate(blocks):
             for block in of_trial:
@@ -391,7 +389,7 @@ class _GroupLevels:
 
     @property
     def p_value(self) -> float:
-        """Of levels that differ so much by chance."""
+        """p-value of the differences between the levels."""
         mean = float(np.average(self.root, weights=self.count))
         q, dof = _cochran_q(self.root / mean, self.spread / self.count)
         return float(chi2_sf(dof, q)) if dof > 0 else 1.0
@@ -399,8 +397,8 @@ class _GroupLevels:
     def pooled(self, trials: int, markers: int) -> tuple[FloatArray, FloatArray]:
         """(trials, markers) partially pooled levels, and variances of the logarithms of squares.
 
-        A marker has a level of its own, from which its trials differ.  Both are shrunk towards
-        their means according to their uncertainty; a group without still frames has its marker's.
+        Each marker has its own level, and its trials differ from that.  Both are shrunk towards
+        their means by their uncertainty; a group without still frames has its marker's level.
         source  Morris 1983, J. Am. Stat. Assoc. 78, 47: empirical Bayes
         """
         y = np.asarray(4.0 * np.log(self.root))  # ln of the mean square, but for a constant
@@ -419,21 +417,21 @@ class _GroupLevels:
                 float(np.average(y[marker == m], weights=weight)),
                 1.0 / weight.sum(),
             )
-        known = np.isfinite(spread)
-        q, dof = _cochran_q(mean[known], spread[known])
-        of_markers = _variance_between(q, dof, _information(1.0 / spread[known]))
-        overall = float(np.average(mean[known], weights=1.0 / (spread[known] + of_markers)))
-        kept = (
-            of_markers / (of_markers + spread[known]) if of_markers > 0.0 else 0.0 * spread[known]
+        finite = np.isfinite(spread)
+        q, dof = _cochran_q(mean[finite], spread[finite])
+        of_markers = _variance_between(q, dof, _information(1.0 / spread[finite]))
+        overall = float(np.average(mean[finite], weights=1.0 / (spread[finite] + of_markers)))
+        shrink = (
+            of_markers / (of_markers + spread[finite]) if of_markers > 0.0 else 0.0 * spread[finite]
         )
-        mean[known] = overall + (mean[known] - overall) * kept
+        mean[finite] = overall + (mean[finite] - overall) * shrink
         pooled = np.tile(mean, (trials, 1))
         variance = np.full((trials, markers), of_markers + between)
-        variance[:, known] = between + spread[known]
+        variance[:, finite] = between + spread[finite]
         own = between / (between + v)
         pooled[self.trial, marker] += (y - mean[marker]) * own
         variance[self.trial, marker] = v * own + (1.0 - own) ** 2 * spread[marker]
-        # what is divided by an uncertain mean square is too large on average, by half its variance
+        # corrects the bias of a division by an uncertain mean square
         return np.exp(0.5 * pooled + 0.25 * variance), variance
 
 

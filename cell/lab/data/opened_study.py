@@ -1,4 +1,4 @@
-"""A study read from its folder and checked for the lab, with notes of what is left out."""
+"""A study read from its folder and checked for the lab, with notes on omitted data."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from cell.study.left_out import without_outliers, without_wrench_outliers
 from cell.study.record_checks import stated_oddly
 from cell.study.rest_shape import SWING, WEAK_M_PER_S2
 
-#: A rest drifts if a smooth course is so much likelier than a standstill: 2 ln of odds of 1000,
-#: by BIC.  Of 133 trials that begin at rest none comes near.
+#: A rest drifts if a polynomial is this much likelier than a standstill: 2 ln of odds of 1000, by
+#: BIC.  Of 133 trials that begin at rest none comes near.
 DECISIVE = 2.0 * np.log(1000.0)
-#: Degree of the polynomials of which one must be better than a standstill: most rests end here.
+#: Degree up to which a polynomial must be better than a standstill, else the test ends: most do.
 FIRST_DEGREE = 3
-#: Over the noise's standard deviation; by less a start that is wrong does no harm.
+#: Smallest drift in standard deviations of the noise; a smaller one is harmless.
 DRIFTS = 1.0
-#: Seen values of a trial for each unknown of its initial state, at least: so many can bear it.
+#: Fewest observed values of a trial per unknown of its initial state.
 VALUES = 100
 
 
@@ -39,8 +39,8 @@ VALUES = 100
 class RestDrift:
     """Motion of a marker before the gripper moves, in one trial: distance, duration, noise.
 
-    bearable  whether the trial tells its initial state: it has the frames, and the course before
-              the gripper moves is smooth
+    bearable  whether the trial determines its initial state: enough frames, and a smooth motion
+              before the gripper moves
     """
 
     trial: str
@@ -50,7 +50,7 @@ class RestDrift:
     bearable: bool
 
     def __str__(self) -> str:
-        """What is wrong, and the remedy."""
+        """Text of the problem, and the remedy."""
         return (
             f"{self.trial}: the cable drifts by {self.moved_m * 1e3:.2g} mm in "
             f"{self.seconds:.2g} s before the gripper moves, noise {self.noise_m * 1e3:.2g} mm, "
@@ -63,12 +63,12 @@ class RestDrift:
 def rest_drifts(study: Study) -> Iterator[RestDrift]:
     """The `RestDrift` of every trial that is stated to begin in equilibrium but does not.
 
-    Not of one that is let go while the gripper rests, which is named when a study is read.
+    Without trials with a release while the gripper rests: reading a study reports these.
     """
     for trial in study.trials:
-        found = _drift(study, trial) if trial.start == "equilibrium" else None
-        if found is not None:
-            yield found
+        drift = _drift(study, trial) if trial.start == "equilibrium" else None
+        if drift is not None:
+            yield drift
 
 
 def with_tested_starts(study: Study) -> Study:
@@ -90,7 +90,7 @@ def _drift(study: Study, trial: Trial) -> RestDrift | None:
         return None
     xy_m = trial.markers.xy_m[:, markers]
     resolution = resolution_m(list(xy_m.reshape(len(xy_m), -1).T))
-    # A polynomial through half as many frames as there are is no course, but their noise.
+    # a polynomial of half as many parameters as frames would fit the noise
     most = min(len(b.z_m) for b in blocks) // 2 - 1
     if RestFrames.of(blocks, resolution, min(FIRST_DEGREE, most)).degree == 0:
         return None
@@ -115,25 +115,25 @@ def _drift(study: Study, trial: Trial) -> RestDrift | None:
     return RestDrift(trial.name, moved_m, rest.frames * step_s, noise_m, bearable)
 
 
-#: No camera sees so little motion, noise included: positions that were not measured, m.
+#: Motion, m, below which positions cannot be measured ones: a camera's noise is larger.
 STANDS_M = 1e-6
 
 
-#: Wrong values of a gripper log that are told of a column.
-TOLD = 3
+#: Most wrong values of a column of a gripper log that are reported.
+MOST_REPORTED = 3
 
 
 def open_study(folder: Path) -> Study:
     """Open a study for the lab, from its folder or from that of the cycle that recorded it.
 
-    raises  InputError: it cannot be read, has nothing to fit, a trial is too short to tell, or too
-            much of a marker is wrong
+    raises  InputError: it cannot be read, has no fit trial, a trial is too short, or too many
+            samples of a marker are wrong
     """
-    given, folder = folder, study_folder(folder)
-    study = replace(read_study(folder), filmed=folder != given)
+    opened, folder = folder, study_folder(folder)
+    study = replace(read_study(folder), filmed=folder != opened)
     facts, problems = list[TrialFacts](), list[Problem]()
     for trial in study.trials:
-        message = _stands(trial)
+        message = _no_motion(trial)
         if message is None:
             facts.append(trial_facts(trial, study.arc_length_m, study.gravity_m_per_s2))
             message = _too_short(study, trial, facts[-1])
@@ -152,36 +152,36 @@ def open_study(folder: Path) -> Study:
         problems.append(Problem(folder / "study.yaml", 1, None, "trials", message))
     if problems:
         raise InputError(problems)
-    told = [note for t in study.trials for note in _left_out(folder / t.name / "grip.csv", t.grip)]
+    notes = [note for t in study.trials for note in _outliers(folder / t.name / "grip.csv", t.grip)]
     stated = None if study.filmed else stated_oddly(facts, study.noise_std_m)
-    told += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
-    study = without_wrench_outliers(replace(study, notes=(*study.notes, *told)), folder)
+    notes += [] if stated is None else [f"{folder / 'study.yaml'}: {stated}"]
+    study = without_wrench_outliers(replace(study, notes=(*study.notes, *notes)), folder)
     return with_tested_starts(without_copies(without_outliers(study)))
 
 
-def _left_out(log: Path, grip: Motion) -> list[str]:
-    """Of every column of a gripper log, what values are no motion: how many, where, how large."""
+def _outliers(log: Path, grip: Motion) -> list[str]:
+    """Notes on values of a gripper log that cannot be motion: lines and sizes, by column."""
     notes = []
     splines = dict(zip(("x_m", "y_m", "angle_rad"), grip.splines, strict=True))
     for column, spline in splines.items():
-        apart = {i: float(getattr(grip, column)[i] - spline.value[i]) for i in spline.wrong}
-        if not apart:
+        deviations = {i: float(getattr(grip, column)[i] - spline.value[i]) for i in spline.wrong}
+        if not deviations:
             continue
         unit = "mrad" if column == "angle_rad" else "mm"
-        largest = sorted(apart, key=lambda i: -abs(apart[i]))
-        shown = [f"line {i + 2} by {apart[i] * 1e3:+.2g} {unit}" for i in largest]
+        largest = sorted(deviations, key=lambda i: -abs(deviations[i]))
+        texts = [f"line {i + 2} by {deviations[i] * 1e3:+.2g} {unit}" for i in largest]
         notes.append(
             f"{log}: {column} jumps for a sample or two, which no gripper does: "
-            f"{first_of(shown, TOLD)}; left out"
+            f"{first_of(texts, MOST_REPORTED)}; left out"
         )
     return notes
 
 
-def _stands(trial: Trial) -> str | None:
-    """That markers do not move at all; a camera's noise would be more."""
+def _no_motion(trial: Trial) -> str | None:
+    """Error text if markers do not move at all; a camera's noise would be more."""
     xy_m = trial.markers.xy_m
-    seen = np.isfinite(xy_m).any(axis=0)
-    if np.any(np.nanmax(xy_m[:, seen], axis=0) - np.nanmin(xy_m[:, seen], axis=0) > STANDS_M):
+    used = np.isfinite(xy_m).any(axis=0)
+    if np.any(np.nanmax(xy_m[:, used], axis=0) - np.nanmin(xy_m[:, used], axis=0) > STANDS_M):
         return None
     return (
         f"is the last of {len(xy_m)} rows in which no marker moves by {STANDS_M * 1e3:g} mm: "
@@ -191,17 +191,17 @@ def _stands(trial: Trial) -> str | None:
 
 def _too_short(study: Study, trial: Trial, facts: TrialFacts) -> str | None:
     if facts.spectrum is not None and facts.spectrum.peaks_hz:
-        return None  # a swing is seen: nobody has to suppose how long one takes
+        return None  # a swing was observed: no period must be assumed
     t_s = trial.markers.t_s
     still = still_frames(t_s, trial.grip, trial.rests_until_s)
     moving_s = float(t_s[-1] - t_s[min(still.stop, len(t_s) - 1)])
     markers = trial.markers.xy_m[:, 0]
     rest = markers[still] if trial.start == "equilibrium" else markers[len(markers) // 2 :]
-    beside_m = rest[:, 1] - trial.grip.y_m[0]
+    height_m = rest[:, 1] - trial.grip.y_m[0]
     gravity_m_per_s2 = float(np.hypot(*study.gravity_m_per_s2))
-    if not np.isfinite(beside_m).any() or gravity_m_per_s2 < WEAK_M_PER_S2:
+    if not np.isfinite(height_m).any() or gravity_m_per_s2 < WEAK_M_PER_S2:
         return None
-    droop_m = abs(float(np.nanmean(beside_m)))
+    droop_m = abs(float(np.nanmean(height_m)))
     period_s = 2.0 * np.pi * np.sqrt(droop_m / (SWING * gravity_m_per_s2))
     if moving_s >= period_s:
         return None

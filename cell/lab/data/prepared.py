@@ -1,4 +1,4 @@
-"""A prepared study: for models it returns whitened residuals, trial by trial."""
+"""A prepared study: whitened residuals of models, trial by trial."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from cell.study.data import Study, Trial
 def placed(study: Study) -> Study:
     """The study without constant marker offsets, where the cable is held straight before release.
 
-    There every point's place is known without a model.  The mean offset of a marker in the still
-    frames is how it was put on; it is subtracted from all frames of the trial.
+    There every point's place is known without a model.  The mean offset of a marker in the frames
+    at rest is its mounting error, and is subtracted from all frames of the trial.
     """
     return study.with_places(lambda trial: _placed_m(trial, study.arc_length_m))
 
@@ -49,8 +49,8 @@ def _placed_m(trial: Trial, arc_length_m: FloatArray) -> FloatArray:
     along = np.stack([-np.cos(angle), -np.sin(angle)], axis=-1)
     straight = trial.gripper_m(t_s[still])[:, None] + arc_length_m[:, None] * along[:, None]
     deviation_m = xy_m[still] - straight
-    seen = np.isfinite(deviation_m).any(axis=0)
-    return xy_m - np.where(seen, np.nanmean(np.where(seen, deviation_m, 0.0), axis=0), 0.0)
+    observed = np.isfinite(deviation_m).any(axis=0)
+    return xy_m - np.where(observed, np.nanmean(np.where(observed, deviation_m, 0.0), axis=0), 0.0)
 
 
 def arcs_are_uncertain(study: Study) -> bool:
@@ -71,26 +71,25 @@ def whiteners_of(
            model; as measured where it is missing
     levels noise of a trial's markers over `noise`; 1 where it is missing
 
-    A trial's whitener is independent of the others, yet a marker's arc length is the same in all n
-    of them.  So each trial has an arc length of its own, of n times the variance: no combination of
-    trials is then trusted more than it may be, and a common shift as much as one standard deviation
-    allows.  The same holds for a sensor's gain.
+    Whiteners are independent between trials, yet a marker's arc length is common to all n trials.
+    So each trial has its own arc length of n times the variance: a common shift then has the stated
+    variance, and no combination of trials is overconfident.  The same holds for a sensor's gain.
     """
     lines, levels = lines or {}, levels or {}
     std_m, markers = study.arc_length_std_m, len(study.arc_length_m)
     whiteners = {}
     for t in study.trials:
         # a sensor's points follow the markers, and neither shift nor drift
-        others = ((0, t.markers.xy_m.shape[1] - markers), (0, 0))
+        padding = ((0, t.markers.xy_m.shape[1] - markers), (0, 0))
         places = replace(t, markers=replace(t.markers, xy_m=t.markers.xy_m[:, :markers]))
         shift_m, carried = None, carried_m(places)
         if std_m is not None and arcs_are_uncertain(study):
             each_m = np.sqrt(len(study.trials)) * std_m[:, None]
             slopes = lines.get(t.name)
             slopes = derivative_along(places, study.arc_length_m) if slopes is None else slopes
-            shift_m = np.pad(each_m * slopes, ((0, 0), *others))
+            shift_m = np.pad(each_m * slopes, ((0, 0), *padding))
         if carried is not None:
-            carried = np.pad(carried, ((0, 0), (0, 0), *others))
+            carried = np.pad(carried, ((0, 0), (0, 0), *padding))
         sensors = None if gauges is None else gauges.sensors(t)
         level = levels[t.name].of_markers if t.name in levels else None
         whiteners[t.name] = Whitener(t.markers.xy_m, noise, shift_m, carried, sensors, level)
@@ -101,28 +100,28 @@ Number = TypeVar("Number", bound=np.generic)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-#: A model errs if its rms is above the noise by this factor.
-ERRS = 1.1
+#: A model is wrong if its rms error exceeds the noise by this factor.
+ERROR_RATIO = 1.1
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedStudy:
     """A study with its noise model and the whiteners of its trials.
 
-    study  its markers, and behind them the measured wrench at the clamp as further points, if any:
+    study  its markers, followed by the measured wrench at the clamp as further points, if any:
            see `gauges`
     work   budget and count of its simulations
-    noise  used for whitening: the measurement's, or larger where an earlier individual's model is
-           known to err by more
-    slope_solver  of simulations of which only differences are used; None = `solver`
-    counted   solver as of which simulations count as work, if not `solver`: how far a search goes
-              must not depend on whether derivatives may be coarser
-    memo      results of `once_per_study`; another study begins with none
+    noise  used for whitening: the measurement's, or the larger error of an earlier individual's
+           model
+    slope_solver  of simulations for derivatives; None = `solver`
+    counted   solver that determines the counted work, if not `solver`: the extent of a search must
+              not depend on coarser derivatives
+    memo      results of `once_per_study`; empty for a new study
     mesh_m    per trial (times, markers, 2) error of the solver's mesh that has been subtracted from
               the study's markers, m
     rounding_m  likewise the mean error of rounded values
     lines     per trial (times, markers, 2) derivative of a model's markers by their arc lengths;
-              empty where these are certain, and where no model is known to explain the study
+              empty if these are certain, or if no model explains the study yet
     gauges    how wrenches are represented as points; None = there are none
     """
 
@@ -141,7 +140,7 @@ class PreparedStudy:
     memo: dict[tuple[object, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What another process needs; it works out the rest by itself."""
+        """State for another process, without cached results."""
         return {**vars(self), "memo": {}}
 
     @staticmethod
@@ -152,17 +151,17 @@ class PreparedStudy:
         solver: Solver | None = None,
         work: Work | None = None,
     ) -> PreparedStudy:
-        """Make a study ready.
+        """Prepare a study.
 
-        work    to be counted with
-        misfit  error of the model that an earlier individual has shown, if it exceeds the camera's
+        work    budget and count
+        misfit  error of an earlier individual's model, used if it exceeds the camera's
         raises  NoiseUnknownError
         """
         study = placed(study)
         noise_model = with_levels(study, noise_model_of(study))
         noise = (
             misfit
-            if misfit and misfit.std_m > ERRS * noise_model.noise.std_m
+            if misfit and misfit.std_m > ERROR_RATIO * noise_model.noise.std_m
             else noise_model.noise
         )
         level_m = noise_model.noise.std_m
@@ -174,7 +173,7 @@ class PreparedStudy:
         )
 
     def rewhitened(self, **changes: Any) -> PreparedStudy:
-        """The same with these fields changed, and the whiteners that follow from them."""
+        """The same with changed fields, and new whiteners."""
         new = replace(self, **changes)
         whiteners = whiteners_of(new.study, new.noise, new.gauges, new.lines, new.levels)
         return replace(new, whiteners=whiteners)
@@ -191,12 +190,12 @@ class PreparedStudy:
 
     @property
     def expected(self) -> Noise:
-        """What a right model leaves: the measurement's noise or an earlier model's error."""
+        """Residual of a right model: the measurement's noise or an earlier model's error."""
         return self.noise_model.noise if self.noise_is_measured else self.noise
 
     @property
     def levels(self) -> Mapping[str, Level]:
-        """Noise of each trial's markers over that of all, where it differs; else empty."""
+        """Relative noise of each trial's markers, where it differs; else empty."""
         return self.noise_model.levels if self.noise_is_measured else {}
 
     def noise_m(self, role: Literal["fit", "validate"]) -> float:
@@ -204,7 +203,7 @@ class PreparedStudy:
         return self.noise_model.rms_m(self.study.role(role), len(self.study.arc_length_m))
 
     def expected_m(self, role: Literal["fit", "validate"]) -> float:
-        """Root mean square of what a right model leaves there, m; see `expected`."""
+        """Root mean square residual of a right model there, m; see `expected`."""
         return self.noise_m(role) if self.noise_is_measured else self.noise.std_m
 
     @property
@@ -216,25 +215,25 @@ class PreparedStudy:
         """(frames, markers, …) of (times, all points, …) of a trial: without those of gauges."""
         return rows if self.gauges is None else self.gauges.of_markers(trial.name, rows)
 
-    def taken_out_m(self, trial: Trial) -> FloatArray:
-        """(times, markers, 2) what has been taken out of a trial's markers, m."""
-        taken_m = self.mesh_m.get(trial.name, np.zeros_like(trial.markers.xy_m))
-        return np.asarray(taken_m + self.rounding_m.get(trial.name, 0.0))
+    def subtracted_m(self, trial: Trial) -> FloatArray:
+        """(times, markers, 2) errors that have been subtracted from a trial's markers, m."""
+        error_m = self.mesh_m.get(trial.name, np.zeros_like(trial.markers.xy_m))
+        return np.asarray(error_m + self.rounding_m.get(trial.name, 0.0))
 
     def initial_state(self, trial: Trial) -> InitialState:
-        """What is unknown of how a trial begins."""
+        """The unknown initial state of a trial."""
         return initial_state_of(trial, self.study.cable, self.study.scale_m_per_s2)
 
     def predict(
         self, trial: Trial, models: Sequence[CableModel], initial_states: FloatArray | None = None
     ) -> FloatArray:
-        """(lanes, times, markers, 2) where models put a trial's markers, m; nan where they cannot.
+        """(lanes, times, markers, 2) predicted markers of a trial, m; nan where not simulable.
 
-        initial_states  (lanes, unknowns) of the trial.  While a release is late the gripper stands
-            still, so that everything happens later by as much.
+        initial_states  (lanes, unknowns) of the trial.  The gripper rests at a release, so that a
+            delay shifts everything by as much.
         """
-        known = None if initial_states is None else {trial.name: initial_states}
-        return self.predict_all([trial], models, known)[0]
+        by_trial = None if initial_states is None else {trial.name: initial_states}
+        return self.predict_all([trial], models, by_trial)[0]
 
     def predict_all(
         self,
@@ -242,12 +241,12 @@ class PreparedStudy:
         models: Sequence[CableModel],
         initial_states: Mapping[str, FloatArray] | None = None,
     ) -> list[FloatArray]:
-        """The same of several trials; all lanes of those that begin alike go into one batch.
+        """The same for several trials; lanes with the same kind of start form one batch.
 
-        initial_states  by trial, 0 where none is given
+        initial_states  by trial; 0 where missing
         """
         out = {t.name: np.empty((len(models), *t.markers.xy_m.shape)) for t in trials}
-        for group in _alike(self, trials, models, initial_states or {}):
+        for group in _batches(self, trials, models, initial_states or {}):
             lanes = [lane for *_, lane in group]
             gauge = self.gauge(lanes[0].trial)
             predicted = predict_lanes(lanes, self.study.arc_length_m, self.solver, np.nan, gauge)
@@ -260,14 +259,14 @@ class PreparedStudy:
         return [out[t.name] for t in trials]
 
     def gauge(self, trial: Trial) -> Gauge | None:
-        """What measures the wrench that is among a trial's points, if it is."""
+        """The gauge of the wrench among a trial's points; None if there is none."""
         markers = len(self.study.arc_length_m)
         if self.gauges is None or trial.markers.xy_m.shape[1] == markers:
             return None
         return self.gauges.gauge
 
     def on_one_core(self) -> PreparedStudy:
-        """The same, simulated without threads of its own: for several fits side by side."""
+        """The same, simulated without own threads, for several fits in parallel."""
         slopes = None if self.slope_solver is None else replace(self.slope_solver, threads=1)
         return replace(self, solver=replace(self.solver, threads=1), slope_solver=slopes)
 
@@ -276,7 +275,7 @@ class PreparedStudy:
         return self.whiteners[trial.name](predicted_m)
 
     def error_m(self, trial: Trial, predicted_m: FloatArray) -> FloatArray:
-        """(times, markers, 2) measured − predicted of one model, m, nan where not seen.
+        """(times, markers, 2) measured − predicted of one model, m, nan where not observed.
 
         Where arc lengths are uncertain, relative to the likeliest ones.
         """
@@ -288,13 +287,13 @@ class PreparedStudy:
         models: Sequence[CableModel],
         initial_states: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
-        """(lanes, rows) whitened residuals of what models predict of all the trials."""
+        """(lanes, rows) whitened residuals of models over all the trials."""
         predicted = self.predict_all(trials, models, initial_states)
         parts = [self.white(t, points) for t, points in zip(trials, predicted, strict=True)]
         return np.concatenate(parts, axis=1)
 
     def coarser(self, slopes: Solver) -> PreparedStudy:
-        """The same, everything simulated so, and counted as if it were not."""
+        """The same with this solver, but work counted as with the present one."""
         return replace(self, solver=slopes, slope_solver=None, counted=self.solver)
 
     def white_near(
@@ -303,7 +302,7 @@ class PreparedStudy:
         models: Sequence[CableModel],
         initial_states: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
-        """As `all_white`, of models near the first: only the differences from it count."""
+        """As `all_white`, for models near the first: only differences from it are used."""
         if self.slope_solver is not None:
             white = self.coarser(self.slope_solver).all_white(trials, models, initial_states)
             if np.all(np.isfinite(white[0])):
@@ -313,12 +312,12 @@ class PreparedStudy:
     def by_trial(
         self, trials: Sequence[Trial], rows: NDArray[Number]
     ) -> dict[str, NDArray[Number]]:
-        """Per trial its rows of whitened values (rows, …); the prior's rows, the last, left out."""
+        """Per trial its rows of whitened values (rows, …), without the prior's, the last ones."""
         ends = np.cumsum([self.whiteners[t.name].rows for t in trials])
         return dict(zip([t.name for t in trials], np.split(rows, ends), strict=False))
 
     def count(self, trials: Sequence[Trial]) -> int:
-        """Coordinates seen in trials."""
+        """Number of observed coordinates in trials."""
         return sum(self.whiteners[t.name].count for t in trials)
 
 
@@ -328,19 +327,19 @@ def once_per_study(
     """Decorator: a function of a study and other arguments whose results the study caches."""
 
     @wraps(function)
-    def known(prepared: PreparedStudy, /, *of: Arguments.args, **named: Arguments.kwargs) -> Result:
+    def once(prepared: PreparedStudy, /, *of: Arguments.args, **named: Arguments.kwargs) -> Result:
         key = (function, *of, *named.items())
         if key not in prepared.memo:
             prepared.memo[key] = function(prepared, *of, **named)
         result: Result = prepared.memo[key]
         return result
 
-    return known
+    return once
 
 
 def as_measured(prepared: PreparedStudy) -> Study:
     """The study as it was measured: corrections of its markers are undone."""
-    study = prepared.study.with_places(lambda t: t.markers.xy_m + prepared.taken_out_m(t))
+    study = prepared.study.with_places(lambda t: t.markers.xy_m + prepared.subtracted_m(t))
     return replace(prepared, study=study).unjoined
 
 
@@ -362,35 +361,35 @@ def all_fitted(study: Study) -> Study:
     return replace(study, trials=tuple(replace(t, role="fit") for t in study.trials))
 
 
-def _alike(
+def _batches(
     prepared: PreparedStudy,
     trials: Sequence[Trial],
     models: Sequence[CableModel],
     initial_states: Mapping[str, FloatArray],
 ) -> Iterable[list[tuple[str, int, Lane]]]:
-    """Lanes of all trials and models, those that begin alike together: trial, model and lane.
+    """Lanes of all trials and models, grouped by start: trial, model and lane.
 
     Their work is counted.
     """
-    alike: dict[object, list[tuple[str, int, Lane]]] = {}
+    batches: dict[object, list[tuple[str, int, Lane]]] = {}
     for trial in trials:
         t_s, state = trial.markers.t_s, prepared.initial_state(trial)
         counted = prepared.counted or prepared.solver
         prepared.work.add(len(models), float(t_s[-1] - t_s[0]), counted)
         unknown = initial_states.get(trial.name, np.zeros((len(models), state.count)))
-        late = state.delay_s(unknown)
-        times = {float(d): t_s - d for d in np.unique(late)}
-        for number, (model, d) in enumerate(zip(models, late, strict=True)):
+        delays = state.delay_s(unknown)
+        times = {float(d): t_s - d for d in np.unique(delays)}
+        for number, (model, d) in enumerate(zip(models, delays, strict=True)):
             modes = state.modes(unknown[number]) if state.bent else None
             means = None if trial.row_means is None else trial.row_means.earlier(float(d))
             lane = Lane(trial, model, times[float(d)], modes, means)
-            key = _begins(lane), prepared.gauge(trial) is None
-            alike.setdefault(key, []).append((trial.name, number, lane))
-    return alike.values()
+            key = _start_key(lane), prepared.gauge(trial) is None
+            batches.setdefault(key, []).append((trial.name, number, lane))
+    return batches.values()
 
 
-def _begins(lane: Lane) -> object:
-    """Equal for lanes whose simulations begin alike: these can share a grid of steps."""
+def _start_key(lane: Lane) -> object:
+    """Key of a lane's start: lanes with equal keys can share a grid of time steps."""
     trial = lane.trial
     if trial.release_s is not None:
         return trial.start, trial.release_s
@@ -402,7 +401,7 @@ def _begins(lane: Lane) -> object:
 def with_noise_from(prepared: PreparedStudy, errors: Sequence[FloatArray]) -> PreparedStudy:
     """The prepared study; a stated noise gets the correlations of a model's residuals.
 
-    errors  per trial to be fitted (times, channels), m, nan where not seen
+    errors  per fit trial (times, channels), m, nan where not observed
     """
     if not prepared.noise_is_measured:
         return prepared
@@ -420,23 +419,23 @@ def with_noise_model(
 ) -> PreparedStudy:
     """The prepared study, whitened with another noise model.
 
-    of_gauges  noise of force and moment, if there are gauges and it is another, too
+    of_gauges  noise of force and moment, if it changes too
     """
     noise = noise_model.for_whitening
     same = noise_model.levels == prepared.noise_model.levels
     if noise == prepared.noise and same and of_gauges is None:
         return replace(prepared, noise_model=noise_model)
-    levelled = _levelled(prepared, noise_model.noise.std_m, of_gauges)
+    levelled = _with_gauge_scale(prepared, noise_model.noise.std_m, of_gauges)
     whiteners = whiteners_of(
         levelled.study, noise, levelled.gauges, levelled.lines, noise_model.levels
     )
     return replace(levelled, noise_model=noise_model, noise=noise, whiteners=whiteners)
 
 
-def _levelled(
+def _with_gauge_scale(
     prepared: PreparedStudy, std_m: float, of_gauges: tuple[NoiseModel, NoiseModel] | None
 ) -> PreparedStudy:
-    """The same with gauges in the unit of such a noise."""
+    """The same with gauges scaled to this noise."""
     if prepared.gauges is None:
         return prepared
     force, moment = of_gauges or (prepared.gauges.force, prepared.gauges.moment)

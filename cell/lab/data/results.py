@@ -1,4 +1,4 @@
-"""What the lab finds, as data: the diagnosis and its JSON (cable-diagnosis/1)."""
+"""Results of the lab as data: the diagnosis and its JSON (cable-diagnosis/1)."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Errors:
 class MissingEffect:
     """An effect the model lacks, in the order of adding.
 
-    tied_with      effects that these motions cannot tell from it
+    tied_with      effects that these motions cannot distinguish from it
     p_value        of the fall of χ² on the fit trials, adjusted for the size of the library; where
                    the model's own error remains, of the fall of that over all trials if larger
     delta_bic      BIC gained on the fit trials (positive = better)
     errors         with all effects up to this one; of a partial explanation, which is fitted to all
                    trials, the error on them all, and none held out
-    explained_share  of the baseline's mean square beyond noise, over all trials, that is gone with
+    explained_share  share of the baseline's mean square beyond noise, over all trials, removed by
                    all effects up to this one
     """
 
@@ -64,7 +64,7 @@ class MissingEffect:
 class Peak:
     """Place of the largest residual: trial, time in it, place on the cable, and its frequency.
 
-    frequency_hz  at which its power is farthest above the noise's; nan if too short to tell
+    frequency_hz  at which its power is farthest above the noise's; nan if the trial is too short
     """
 
     trial: str
@@ -75,11 +75,11 @@ class Peak:
 
 @dataclass(frozen=True)
 class RemainingError:
-    """The error that the final model leaves, all trials together.
+    """Residual error of the final model over all trials.
 
-    before_rms_m     what the baseline, fitted to the same trials, leaves of them all
+    before_rms_m     of the baseline, fitted to the same trials
     over_noise       rms over that of the measurement
-    explained_share  of the baseline's mean square beyond noise that is gone
+    explained_share  removed share of the baseline's mean square beyond noise
     """
 
     rms_m: float
@@ -91,10 +91,10 @@ class RemainingError:
 
 @dataclass(frozen=True)
 class Nearest:
-    """An effect that leaves more than noise but less than others, and its residual.
+    """An effect with one of the smallest residuals, which is more than noise.
 
-    explained_share, left_rms_m  of all trials, fitted to them all
-    errors                       fitted to the fit trials alone; nan if it never was
+    explained_share, left_rms_m  over all trials, fitted to all; `left_rms_m`: rms residual
+    errors                       fitted to the fit trials alone; nan if it was not
     at_bound                     its parameters that are at a bound, which may be too narrow
     """
 
@@ -110,10 +110,10 @@ class Nearest:
 class Limit:
     """95 % limits of one amplitude of an effect that is neither named nor tied.
 
-    low, high  of the parameter, outside of which the study excludes the effect; None = the study
-               could not have shown it: whatever its size, or beyond the parameter's bounds only
-    tip_m      largest distance that the effect at its limit moves the outermost marker by, all
-               else as fitted
+    low, high  of the parameter: the study excludes values outside; None = not detectable in this
+               study at any size, or only beyond the parameter's bounds
+    tip_m      largest displacement of the outermost marker by the effect at its limit, the other
+               parameters as fitted
     """
 
     effect: str
@@ -138,9 +138,9 @@ class TrialValue:
 class Agreement:
     """Estimates of a parameter per trial, and whether they agree.
 
-    value    of all trials together
-    spread   standard deviation between trials beyond what each of them is uncertain by, in `unit`
-    p_value  of trials that differ so much if they agree, adjusted for the number of parameters
+    value    joint estimate of all trials
+    spread   standard deviation between trials in excess of their uncertainties, in `unit`
+    p_value  of the trials' differences, adjusted for the number of parameters
     """
 
     parameter: str
@@ -162,14 +162,14 @@ class Doubt:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """The question of a check of the verdict, and the answer.
+    """A check of the verdict and its result.
 
     unit       of statistic and limit
-    statistic  None where the question does not apply to the study
-    passes     how the statistic compares with the limit if all is well
-    passed     None where the question does not apply
+    statistic  None where the check does not apply to the study
+    passes     comparison of statistic and limit that holds if the check passes
+    passed     None where the check does not apply
     failing    the verdict if it fails, unless another check makes it worse
-    failed     sentence that says so
+    failed     sentence for a failure
     """
 
     name: str
@@ -195,17 +195,17 @@ class RankedEffect:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The missing effect, or that none is missing, none known fits, or these motions cannot tell.
+    """Result of a diagnosis: its verdict, the missing effects, and their evidence.
 
-    Its fields are in the order in which files have them.
+    The order of the fields is that of the files.
     noise_is_stated  by the study; else it was measured at rest
-    left      what the model with everything in `missing`, or else in `partial`, leaves; the latter
+    left      residual of the model with all effects in `missing`, or else in `partial`; the latter
               fitted to all trials
-    partial   of an unexplained study: what explains most of the error, not all
-    nearest   of an unexplained study: the single effects that leave least
-    limits    how strong the effects could be that are neither named nor tied
-    agreement  of the trials, in each parameter of the final model; none of a single trial
-    checks    asked of the model, in order; the verdict is the worst of those that failed
+    partial   of an unexplained study: effects that explain most of the error, not all
+    nearest   of an unexplained study: the single effects with the smallest residuals
+    limits    of the sizes of effects that are neither named nor tied
+    agreement  of the trials, in each parameter of the final model; empty for a single trial
+    checks    of the model, in order; the verdict is the worst of the failed ones
     independence  the independent recordings and motions of the study
     knots     of EI(s) in the models; more than usual where the study shows that EI changes fast
     fit_errors  of all models that were fitted, by number of effects, the largest error first
@@ -230,7 +230,7 @@ class Diagnosis:
 
     @property
     def codes(self) -> frozenset[str]:
-        """Those of its warnings."""
+        """Codes of its warnings."""
         return frozenset(w.code for w in self.warnings)
 
     @property
@@ -243,19 +243,19 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain data in the form cable-diagnosis/1; nan becomes null."""
     content = plain(asdict(diagnosis))
     for name in ("missing", "partial", "nearest"):
-        content[name] = [_flat(found) for found in content[name]]
+        content[name] = [_flat(entry) for entry in content[name]]
     content["independence"] = diagnosis.independence.to_json()
     return {"format": FORMAT, **content}
 
 
-def _flat(found: dict[str, Any]) -> dict[str, Any]:
+def _flat(entry: dict[str, Any]) -> dict[str, Any]:
     """An effect with its errors among its own entries."""
     flat: dict[str, Any] = {}
-    for name, value in found.items():
+    for name, value in entry.items():
         flat |= value if name == "errors" else {name: value}
     return flat
 
 
 def write_json(content: dict[str, Any], path: Path) -> None:
-    """Write plain data as JSON, whole or not at all."""
+    """Write plain data as JSON, atomically."""
     write_atomic(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -1,8 +1,8 @@
 """The unknown initial state of a trial, fitted with the cable: a release is not logged.
 
-A cable held straight is let go a few milliseconds before or after the time noted.  One that is
-held bent, or that moves already when the record begins, differs from its equilibrium by a few modes
-of vibration of unknown size, and of unknown velocity if it moves.
+The true release of a straight cable is a few milliseconds before or after the recorded time.  A
+cable held bent, or moving at the start of the record, differs from its equilibrium by a few modes
+of vibration of unknown amplitude, and of unknown velocity if it moves.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from cell.cable.geometry import Cable
 from cell.cable.swing import ROOTS
 from cell.study.data import Trial
 
-#: A cable held by a person is let go within this of the time noted.
+#: Uncertainty of the recorded time of a release by a person, s: standard deviation, and limit.
 RELEASE_STD_S = 0.02
 RELEASE_LIMIT_S = 0.1
 #: Modes by which a cable may differ from its equilibrium; a force at the tip of a straight cable
 #: bends it to 3e-4 of its deflection by these.
 MODES = 4
-#: Standard deviation of the first mode's place, in free lengths; a mode of a shorter wave is the
-#: smaller by its square, as of cables held by fingers, and its velocity by the wave alone.
+#: Standard deviation of the first mode's amplitude, in free lengths; that of a shorter wave scales
+#: with its square, as for cables held by fingers, and its velocity with the wave length.
 PLACE_STD = 0.5
 #: Velocities are of swings within twice √(g/L).
 PACE = 2.0
@@ -35,7 +35,7 @@ _FARTHEST = 4.0
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """The unknowns of a trial's state, all 0 as noted: delay of a release, places, velocities.
+    """The unknowns of a trial's state, 0 = as recorded: delay of a release, places, velocities.
 
     std, step, limit  (unknowns,) of the prior, of finite differences, largest magnitude
     """
@@ -71,7 +71,7 @@ class InitialState:
 def initial_state_of(trial: Trial, cable: Cable, scale_m_per_s2: float) -> InitialState:
     """The unknowns of a trial's initial state.
 
-    scale_m_per_s2  acceleration that sets the pace of the cable, see `Study`
+    scale_m_per_s2  acceleration of the cable's time scale, see `Study`
     """
     delayed = trial.start in ("straight", "held")
     places = MODES if trial.bent else 0

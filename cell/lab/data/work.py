@@ -1,4 +1,4 @@
-"""The lab's solver, and the work that simulations are: counted, and bounded by a budget."""
+"""The lab's solver, and the work of simulations: counted, and limited by a budget."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cell.computer.forks import Forks, forks
 
 
 class Progress(Protocol):
-    """Receives what is being done: `done` of `total` pieces are finished; 0 of 0 = not counted.
+    """Callback for progress: `done` of `total` jobs are finished; 0 of 0 = not counted.
 
-    Any thread may tell it.
+    It may be called from any thread.
     """
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
@@ -30,7 +30,7 @@ def no_progress(text: str, done: int = 0, total: int = 0) -> None:
 
 @dataclass(frozen=True)
 class ModelError:
-    """Error of a model that was fitted: rms over the fit trials, per coordinate, and the noise, m.
+    """Error of a fitted model: rms over the fit trials, per coordinate, and the noise, m.
 
     effects  in the model, sorted; () = the baseline
     """
@@ -41,14 +41,14 @@ class ModelError:
 
 
 def _unwatched(_: ModelError) -> None:
-    """A watcher of fits that looks at none."""
+    """A watcher that ignores all fits."""
 
 
 #: Within 4 µm (rms over the markers of a swing) of a converged cable.
 SOLVER = Solver(segments=32, step_s=1e-3)
 
-#: Stages of a diagnosis, and the share of its budget by which each has ended.  What one does not
-#: use is the next one's.
+#: Stages of a diagnosis, and the share of its budget by which each has ended.  Unused budget is
+#: available to the next stage.
 STAGES = {
     "prepare": 0.3,
     "search": 0.55,
@@ -57,8 +57,8 @@ STAGES = {
     "strength": 0.97,
     "compare": 1.0,
 }
-#: Beyond the limit of the budget, or of a job's share, a simulation still begins within this share
-#: of the budget: fits end with the iteration that they are at.
+#: Tolerance beyond the limit, as share of the budget, within which a simulation still begins: fits
+#: complete their current iteration.
 SLACK = 0.05
 
 
@@ -66,10 +66,10 @@ SLACK = 0.05
 class Budget:
     """The most work of a computation.
 
-    simulated_s  seconds of cable motion, as `Work` counts them: what is left out because of it is
-                 the same on every computer
-    cpu_s        of this process and its forks: the outer limit, for simulations that fail and for
-                 slow computers
+    simulated_s  seconds of cable motion, as `Work` counts them: a limit that is the same on every
+                 computer
+    cpu_s        of this process and its forks: the outer limit, for failing simulations and slow
+                 computers
     """
 
     simulated_s: float = float("inf")
@@ -80,25 +80,25 @@ class Budget:
         return Budget(share * self.simulated_s, share * self.cpu_s)
 
     def plus(self, other: Budget) -> Budget:
-        """Both together."""
+        """The sum of both."""
         return Budget(self.simulated_s + other.simulated_s, self.cpu_s + other.cpu_s)
 
     def minus(self, other: Budget) -> Budget:
-        """What remains of it, at least 0."""
-        left = self.simulated_s - other.simulated_s, self.cpu_s - other.cpu_s
-        return Budget(*(max(0.0, part) for part in left))
+        """The difference, at least 0."""
+        difference = self.simulated_s - other.simulated_s, self.cpu_s - other.cpu_s
+        return Budget(*(max(0.0, part) for part in difference))
 
     def exceeds(self, other: Budget) -> bool:
-        """Whether it is no less in either."""
+        """Whether it is at least as large in either component."""
         return self.simulated_s >= other.simulated_s or self.cpu_s >= other.cpu_s
 
 
 NONE, UNLIMITED = Budget(0.0, 0.0), Budget()
-#: Of a diagnosis with all that belongs to it: less than 60 s of one core.  Where a second of motion
-#: costs most, the CPU time ends it; with half as much motion rigs with two effects missing were cut
-#: short and `unexplained`.
+#: Budget of a complete diagnosis: less than 60 s of one core.  The CPU time is the limit where a
+#: second of motion costs most; with half the motion, rigs with two missing effects were cut short
+#: and `unexplained`.
 DIAGNOSIS = Budget(simulated_s=130_000.0, cpu_s=54.0)
-#: Of the search for a law among many terms.
+#: Budget of the search for a law among many terms.
 DISCOVERY = Budget(simulated_s=240_000.0, cpu_s=240.0)
 
 
@@ -114,12 +114,12 @@ class SpentError(WorkStoppedError):
 class Work:
     """Work, counted as seconds of cable motion simulated with `SOLVER`, or its equivalent.
 
-    Whoever waits may stop it from another thread or a signal's handler.
+    It can be stopped from another thread or a signal handler.
 
     budget    of everything since `renew`
-    known     what is known before there is a result, for whoever stops it then
-    left_out  what was not computed because the budget was spent
-    concluding  it was stopped or spent: only results are still put together
+    known     text of the intermediate result, for a stop before there is a result
+    left_out  names of omitted computations, because the budget was spent
+    concluding  stopped or spent: only the results are still compiled
     watcher   receives the error of each model as it is fitted; any thread may call it
     """
 
@@ -138,7 +138,7 @@ class Work:
     _fitted: dict[tuple[str, ...], ModelError] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What another process goes on with: its clock of CPU time is another, nobody watches."""
+        """State for another process: CPU time so far, without the watcher."""
         return {**vars(self), "_forks_cpu_s": self.cpu_s, "watcher": _unwatched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -147,7 +147,7 @@ class Work:
 
     @property
     def cpu_s(self) -> float:
-        """CPU seconds of this process since this was made, and of its forks; without compiling."""
+        """CPU seconds of this process since creation, and of its forks; without compilation."""
         return computing_s() - self._clock_s + self._forks_cpu_s
 
     @property
@@ -157,25 +157,25 @@ class Work:
 
     @property
     def limit(self) -> Budget:
-        """Where the present stage has to end."""
+        """Limit of work of the present stage."""
         return self._origin.plus(self.budget) if self._limit is None else self._limit
 
     @property
     def spent(self) -> bool:
-        """Whether the present stage has to end: nothing more is begun, a fit ends where it is."""
+        """Whether the present stage must end: nothing new begins, running fits stop."""
         return self.concluding or self.done.exceeds(self.limit)
 
-    def affords(self, what: str) -> bool:
-        """Whether the present stage may begin something; if not, it is noted as left out."""
+    def affords(self, task: str) -> bool:
+        """Whether the present stage may begin a computation; if not, it is noted as omitted."""
         if self.spent:
-            self.leave_out(what)
+            self.leave_out(task)
             return False
         return True
 
-    def leave_out(self, what: str) -> None:
-        """Note what is not computed."""
-        if what not in self.left_out:
-            self.left_out.append(what)
+    def leave_out(self, task: str) -> None:
+        """Note an omitted computation by its name."""
+        if task not in self.left_out:
+            self.left_out.append(task)
 
     def note_fit(self, names: Iterable[str], rms_m: float, noise_m: float) -> None:
         """Note the error of a fitted model with effects of these names, in m, and the noise."""
@@ -186,12 +186,12 @@ class Work:
     @property
     def fit_errors(self) -> tuple[ModelError, ...]:
         """Errors of all models fitted so far, by number of effects, the largest error first."""
-        found = self._fitted.values()
-        return tuple(sorted(found, key=lambda e: (len(e.effects), -e.rms_m, e.effects)))
+        errors = self._fitted.values()
+        return tuple(sorted(errors, key=lambda e: (len(e.effects), -e.rms_m, e.effects)))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """One of `STAGES`."""
+        """Context of one of `STAGES`, which sets the limit."""
         before, self._limit = self._limit, self._origin.plus(self.budget.share(STAGES[name]))
         try:
             yield
@@ -200,7 +200,7 @@ class Work:
 
     @contextmanager
     def part(self, share: Budget) -> Iterator[None]:
-        """A job that has a share of the work for itself, in this process or in a fork of it."""
+        """Context of a job with its own share of the work, in this process or in a fork."""
         before = vars(self).copy()
         self.simulated_s, self._forks_cpu_s, self._clock_s = 0.0, 0.0, computing_s()
         self._limit = self._last = share
@@ -213,7 +213,7 @@ class Work:
             self.simulated_s += did.simulated_s
 
     def renew(self) -> None:
-        """Begin a budget: another computation with the same study."""
+        """Start a new budget, for another computation with the same study."""
         self._origin, self.concluding = self.done, False
 
     def stop(self) -> None:
@@ -221,11 +221,11 @@ class Work:
         self.stopped = not self.concluding
 
     def conclude(self) -> None:
-        """After it was stopped or spent: only what is needed to tell the results is computed."""
+        """After a stop, or when spent: compute only what the results need."""
         self.stopped, self.concluding = False, True
 
     def check(self) -> None:
-        """Raises WorkStoppedError: no more simulations are wanted."""
+        """Raises WorkStoppedError: it was stopped; SpentError: budget spent."""
         if self.stopped:
             raise WorkStoppedError(self.known)
         if not self.concluding:
@@ -234,29 +234,29 @@ class Work:
                 raise SpentError(self.known)
 
     def add(self, models: int, duration_s: float, solver: Solver) -> None:
-        """Count a batch.  Raises WorkStoppedError: no more are wanted; SpentError: nor afforded."""
+        """Count a batch.  Raises WorkStoppedError: it was stopped; SpentError: budget spent."""
         self.check()
         self.simulated_s += models * duration_s * self.cost(solver)
 
     @staticmethod
     def cost(solver: Solver) -> float:
-        """What a second of motion costs with a solver, over what it costs with `SOLVER`."""
+        """Cost of a second of motion with a solver, relative to `SOLVER`."""
         return solver.segments / SOLVER.segments * SOLVER.step_s / solver.step_s
 
 
-Given = TypeVar("Given")
-Returned = TypeVar("Returned")
+Job = TypeVar("Job")
+JobResult = TypeVar("JobResult")
 
-#: The work that is left is divided by the jobs, and by so many at least: few may be the first of
-#: many.  A job may take so many parts of it: most take less than one.
+#: The remaining work is divided by the number of jobs, and at least by the first number, as further
+#: jobs may follow.  A job may use this many parts: most use less than one.
 FEWEST_PARTS, PARTS_OF_ONE = 4, 1.5
 
 
 @dataclass(frozen=True)
-class _Done(Generic[Returned]):
-    """A result, none if its share of the work was spent before; work; process that did it."""
+class _Done(Generic[JobResult]):
+    """A job's result, None if its share of the work was spent; its work and process id."""
 
-    result: Returned | None
+    result: JobResult | None
     spent: bool
     work: Budget
     process: int
@@ -265,8 +265,8 @@ class _Done(Generic[Returned]):
 class SideBySide:
     """Runs jobs on all cores; results and counted work are the same as if run one after another.
 
-    A job must not change what is looked at later: it may be done in a copy of this process.  Each
-    has the same share of the work that is left, whichever core does it.
+    A job may run in a copy of this process, so that it must not rely on side effects.  Each has the
+    same share of the remaining work, on any core.
     """
 
     def __init__(self, copies: Forks, work: Work, counted: dict[Any, Any]) -> None:
@@ -276,35 +276,35 @@ class SideBySide:
 
     def map(
         self,
-        function: Callable[[Given], Returned],
-        jobs: Sequence[Given],
-        unfinished: Callable[[Given], Returned],
-        done: Callable[[Given, Returned], None] = lambda job, result: None,
-    ) -> list[Returned]:
+        function: Callable[[Job], JobResult],
+        jobs: Sequence[Job],
+        unfinished: Callable[[Job], JobResult],
+        done: Callable[[Job, JobResult], None] = lambda job, result: None,
+    ) -> list[JobResult]:
         """Results of one of the functions, in the order of the jobs.
 
-        unfinished  the result of a job whose share of the work was spent
-        done    is told of each as it comes, by any thread
-        raises  WorkStoppedError: no more simulations are wanted
+        unfinished  gives the result of a job whose share of the work was spent
+        done    callback for each job and result, from any thread
+        raises  WorkStoppedError
         """
         work, here = self._work, os.getpid()
         before_s, parts = work.simulated_s, max(FEWEST_PARTS, len(jobs))
         share = work.limit.minus(work.done).share(PARTS_OF_ONE / parts)
 
-        def result_of(job: Given, found: _Done[Returned]) -> Returned:
-            return unfinished(job) if found.spent else found.result  # type: ignore[return-value]
+        def result_of(job: Job, outcome: _Done[JobResult]) -> JobResult:
+            return unfinished(job) if outcome.spent else outcome.result  # type: ignore[return-value]
 
-        found = self._copies.map(
+        outcomes = self._copies.map(
             self._counted[function],
             [(job, share) for job in jobs],
-            lambda asked, result: done(asked[0], result_of(asked[0], result)),
+            lambda argument, outcome: done(argument[0], result_of(argument[0], outcome)),
             work.check,
         )
         work.simulated_s = before_s
-        for one in found:
-            work.simulated_s += one.work.simulated_s
-            work._forks_cpu_s += 0.0 if one.process == here else one.work.cpu_s
-        return [result_of(job, one) for job, one in zip(jobs, found, strict=True)]
+        for outcome in outcomes:
+            work.simulated_s += outcome.work.simulated_s
+            work._forks_cpu_s += 0.0 if outcome.process == here else outcome.work.cpu_s
+        return [result_of(job, outcome) for job, outcome in zip(jobs, outcomes, strict=True)]
 
 
 @contextmanager
@@ -316,8 +316,8 @@ def side_by_side(
 ) -> Iterator[SideBySide]:
     """Context in which jobs of these functions run on all cores.
 
-    effects  that what they take or give may have
-    jobs     most that will be given at a time
+    effects  that their arguments or results may contain
+    jobs     most jobs per call of `map`
     """
     counted = {function: _counted(function, work) for function in functions}
     most = min(jobs, threads())
@@ -326,17 +326,17 @@ def side_by_side(
 
 
 def _counted(
-    function: Callable[[Given], Returned], work: Work
-) -> Callable[[tuple[Given, Budget]], _Done[Returned]]:
-    """The function's result with the work that it has taken."""
+    function: Callable[[Job], JobResult], work: Work
+) -> Callable[[tuple[Job, Budget]], _Done[JobResult]]:
+    """The function, with its work in the result."""
 
-    def counted(job: tuple[Given, Budget]) -> _Done[Returned]:
-        given, share = job
+    def counted(job: tuple[Job, Budget]) -> _Done[JobResult]:
+        argument, share = job
         before_s, began_s = work.simulated_s, computing_s()
         result, spent = None, False
         with work.part(share):
             try:
-                result = function(given)
+                result = function(argument)
             except SpentError:
                 spent = True
         took = Budget(work.simulated_s - before_s, computing_s() - began_s)

@@ -15,7 +15,7 @@ from cell.lab.fit.projection import Projection, jacobian_with_prior, residual_wi
 from cell.lab.fit.sensitivity import Sensitivity, sensitivities
 from cell.lab.fit.systematic_error import SystematicError, systematic_error
 
-#: What a pass gains below that share, of a model that errs, is far below what it could be wrong by.
+#: Smaller gains per iteration are far below the error of a model.
 CONVERGED = Options(tolerance=0.03, max_iterations=40, least_gain=1e-3, updates=3)
 
 
@@ -29,29 +29,29 @@ class AllTrialsFit:
 
     @cached_property
     def systematic_error(self) -> SystematicError:
-        """By what the gripper log and the mesh may err."""
+        """Possible errors by gripper log and mesh."""
         return systematic_error(self.prepared, self.fit, fit_trials(self.prepared))
 
     @cached_property
     def linear(self) -> Projection:
-        """Of the residual, less the mesh's error, by the free coordinates."""
+        """Projection of the residual, less the mesh's error, by the free coordinates."""
         residual = residual_with_prior(self.fit, self.systematic_error.mesh)
         return Projection.of(residual, jacobian_with_prior(self.fit)[:, self.fit.solution.free])
 
     def sensitivities(self, effects: Iterable[type[Effect]]) -> list[Sensitivity]:
-        """What the amplitudes of effects do to the trials, in the order of the effects."""
-        asked = list(effects)
-        new = [e for e in asked if e not in self._slopes]
+        """Sensitivities of the trials to amplitudes of effects, in the order of the effects."""
+        requested = list(effects)
+        new = [e for e in requested if e not in self._slopes]
         if new:
             self._slopes.update({s.effect: s for s in sensitivities(self.prepared, self.fit, new)})
-        return [self._slopes[e] for e in asked]
+        return [self._slopes[e] for e in requested]
 
 
 @once_per_study
 def of_all_trials(prepared: PreparedStudy, fit: Fit) -> AllTrialsFit | None:
     """The model of a fit, fitted to every trial of its study; None if one cannot be simulated."""
-    together, states = pooled(prepared), fit.initial_states
+    joint_study, states = pooled(prepared), fit.initial_states
     with suppress(*UNSIMULATED):
-        joint = fit_model(together, fit.space, fit.q, states, options=CONVERGED)
-        return AllTrialsFit(together, joint)
+        joint = fit_model(joint_study, fit.space, fit.q, states, options=CONVERGED)
+        return AllTrialsFit(joint_study, joint)
     return None

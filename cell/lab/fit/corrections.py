@@ -1,6 +1,6 @@
 """Corrections of a study given a fitted model: noise, mesh error, rounding error, sensor gain.
 
-Each function returns the study re-whitened for it, or less it.
+Each function returns the study re-whitened, or with the error subtracted.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from cell.lab.fit.score_test import score_test
 from cell.lab.fit.sensitivity import one_sided, sensitivities
 
 
-def with_noise_given(
+def with_conditional_noise(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> PreparedStudy:
     """The study with the noise of all frames given a model; see `cell.lab.data.noise_model`.
 
-    effects  that may be missing: what they explain is not taken for noise
+    effects  that may be missing: the residual that they explain does not count as noise
     """
     gauges = prepared.gauges
-    each = [prepared.noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
-    if all(m.rest is None for m in each) or not prepared.noise_is_measured:
+    models = [prepared.noise_model, *([] if gauges is None else [gauges.force, gauges.moment])]
+    if all(m.rest is None for m in models) or not prepared.noise_is_measured:
         return prepared
     residuals = projected_residuals(prepared, fit, effects)
-    markers, *of_gauges = map(noise_model_of_all_frames, each, residuals)
+    markers, *of_gauges = map(noise_model_of_all_frames, models, residuals)
     if prepared.levels:
         markers = with_level_in(prepared.noise_model, markers, fit_trials(prepared))
     if not of_gauges:
@@ -51,7 +51,7 @@ def projected_residuals(
 ) -> list[ProjectedResidual]:
     """Residuals in motion, orthogonal to the parameters and to each effect in its likeliest shape.
 
-    Of all markers, and of a wrench's force and moment in their units, if there are any.  To first
+    For all markers, and a wrench's force and moment in their units, if there are any.  To first
     order a missing effect, whichever it is, is projected out, so that the noise can be estimated
     before the effect is known.
     """
@@ -112,7 +112,7 @@ def gain_is_uncertain(prepared: PreparedStudy) -> bool:
 def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
     """The study, whitened with the wrench that a fitted model predicts times an uncertain gain.
 
-    A trial that the model cannot simulate stays as it is.
+    A trial that the model cannot simulate is not changed.
     source  Fuller 1987, Measurement Error Models, sec. 1.1: attenuation by errors in a regressor
     """
     gauges = prepared.gauges
@@ -120,18 +120,17 @@ def with_gain_of(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
         return prepared
     trials = [t for t in prepared.study.trials if gauges.are_in(t)]
     points = prepared.predict_all(trials, [fit.model], best_initial_states(prepared, fit))
-    there = {t.name: p[0] for t, p in zip(trials, points, strict=True) if np.isfinite(p).all()}
-    return prepared.rewhitened(gauges=gauges.as_expected(there))
+    predicted = {t.name: p[0] for t, p in zip(trials, points, strict=True) if np.isfinite(p).all()}
+    return prepared.rewhitened(gauges=gauges.as_expected(predicted))
 
 
-#: The mesh and the step are this many times finer in the simulation that tells their errors, which
-#: fall with the square of both: what it still errs by is this share of the difference.
+#: Refinement of mesh and step to estimate their errors, which fall with the square of both: the
+#: remaining error of the finer simulation is this share of the difference.
 FINER = 2
-LEFT = 1.0 / (FINER**2 - 1.0)
-#: An error that moves no parameter by more than this share of its standard deviation changes no
-#: answer.
+REMAINDER = 1.0 / (FINER**2 - 1.0)
+#: An error that shifts parameters by less than this share of their std is negligible.
 NOTICEABLE = 0.5
-#: Of a difference by which a marker's place changes with its arc length, as a share of the cable.
+#: Step of arc length for the derivative of a marker's position, as a share of the cable.
 SLOPE_STEP = 0.005
 
 
@@ -148,51 +147,51 @@ def finer(prepared: PreparedStudy) -> PreparedStudy:
 
 
 def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
-    """Discretisation error of a fitted model, less what was subtracted already.
+    """Discretisation error of a fitted model, less the part already subtracted.
 
     By trial (times, markers, 2), m, of those that can be simulated on both meshes.
     source  Richardson's extrapolation
     """
     trials = prepared.study.trials
     initial_states = best_initial_states(prepared, fit)
-    here = prepared.predict_all(trials, [fit.model], initial_states)
-    there = finer(prepared).predict_all(trials, [fit.model], initial_states)
-    found = {}
-    for trial, coarse, fine in zip(trials, here, there, strict=True):
-        error_m = (1.0 + LEFT) * (fine[0] - coarse[0])
+    coarse_points = prepared.predict_all(trials, [fit.model], initial_states)
+    fine_points = finer(prepared).predict_all(trials, [fit.model], initial_states)
+    errors_m = {}
+    for trial, coarse, fine in zip(trials, coarse_points, fine_points, strict=True):
+        error_m = (1.0 + REMAINDER) * (fine[0] - coarse[0])
         if np.all(np.isfinite(error_m)):
-            found[trial.name] = error_m - prepared.mesh_m.get(trial.name, 0.0)
-    return found
+            errors_m[trial.name] = error_m - prepared.mesh_m.get(trial.name, 0.0)
+    return errors_m
 
 
 def moves_parameters(prepared: PreparedStudy, error_m: Mapping[str, FloatArray]) -> bool:
     """Whether an error of the markers shifts a parameter by a noticeable part of its std.
 
-    Whitened it is a vector: along no direction does it move the residuals by more than its length.
+    The norm of the whitened error bounds its effect on any parameter, in standard deviations.
     """
     square = 0.0
     for trial in prepared.study.trials:
         if (moved := error_m.get(trial.name)) is not None:
-            both = prepared.white(trial, np.stack([moved, np.zeros_like(moved)]))
-            square += float(np.sum((both[0] - both[1]) ** 2))
+            pair = prepared.white(trial, np.stack([moved, np.zeros_like(moved)]))
+            square += float(np.sum((pair[0] - pair[1]) ** 2))
     return square > NOTICEABLE**2
 
 
 def without_mesh_error(
     prepared: PreparedStudy, fit: Fit, error_m: Mapping[str, FloatArray]
 ) -> PreparedStudy:
-    """The study less what a converged mesh would show compared with the solver's.
+    """The study less the difference of a converged mesh from the solver's.
 
-    A mesh's error moves little with the parameters, so that one fit tells it for all: without it
-    an effect that resembles it (`grip_slip`) is found in long records of a long or soft cable.
+    The mesh's error depends little on the parameters: that of one fit is used for all.  Without the
+    correction, long records of a long or soft cable show a similar effect (`grip_slip`) wrongly.
     error_m  of `mesh_error_m`
     source   deferred correction (Stetter 1978, Numer. Math. 29, 425)
     """
     study = prepared.study.with_places(lambda t: t.markers.xy_m - error_m.get(t.name, 0.0))
     states = best_initial_states(prepared, fit)
     lines = lines_of(prepared, fit.model, states) if arcs_are_uncertain(study) else {}
-    taken = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
-    mesh_m = {**prepared.mesh_m, **taken}
+    subtracted = {n: e + prepared.mesh_m.get(n, 0.0) for n, e in error_m.items()}
+    mesh_m = {**prepared.mesh_m, **subtracted}
     return prepared.rewhitened(study=study, mesh_m=mesh_m, lines=lines)
 
 
@@ -201,9 +200,9 @@ def lines_of(
 ) -> dict[str, FloatArray]:
     """Per trial (times, markers, 2) derivative of a model's marker positions by arc length.
 
-    What is measured of it errs with the markers that it is to explain: in long records that alone
-    looks like a cable of another length.
-    initial_states  by trial (1, unknowns); as noted where it is missing
+    Derivatives from the measured markers would be correlated with the markers' errors: in long
+    records that looks like a cable of another length.
+    initial_states  by trial (1, unknowns); as recorded where it is missing
     """
     study, trials = prepared.study, prepared.study.trials
     arcs_m, step_m = study.arc_length_m, SLOPE_STEP * study.cable.length_m
@@ -214,20 +213,20 @@ def lines_of(
         )
         for at_m in ends_m
     )
-    found = {}
+    lines = {}
     for trial, low, high in zip(trials, below, above, strict=True):
-        moved = (high - low)[0, :, : len(arcs_m)] / (ends_m[1] - ends_m[0])[:, None]
-        seen = np.isfinite(trial.markers.xy_m[:, : len(arcs_m)]).any(axis=0)
-        if np.all(np.isfinite(moved)):
-            found[trial.name] = np.where(seen, moved, 0.0)
-    return found
+        derivative = (high - low)[0, :, : len(arcs_m)] / (ends_m[1] - ends_m[0])[:, None]
+        observed = np.isfinite(trial.markers.xy_m[:, : len(arcs_m)]).any(axis=0)
+        if np.all(np.isfinite(derivative)):
+            lines[trial.name] = np.where(observed, derivative, 0.0)
+    return lines
 
 
-#: Neighbouring steps that noise of a step reaches.
+#: Number of neighbouring rounding steps in the sum.
 REACHED = 8
-#: A place is known no better than to this share of a step, and noise of a step hides all.
+#: Smallest standard deviation of a value in steps; and that from which noise hides the rounding.
 LEAST_SPREAD, HIDING = 1e-3, 1.0
-#: Values are on a grid of steps if the mean of their phases is as long as this; 1 = all are.
+#: Values are on a grid of steps if the mean of their unit phasors has this length; 1 = all are.
 ON_GRID = 0.9
 
 
@@ -235,7 +234,7 @@ def mean_rounding_error(place: FloatArray, std: FloatArray) -> FloatArray:
     """Mean error of normally distributed values that are rounded to whole numbers.
 
     place  mean of the values before they are rounded
-    std    their standard deviation; as `place`, or what broadcasts to it
+    std    their standard deviation; broadcasts to `place`
 
     It is a function of the place, periodic with the step; noise as large as a step averages it out.
     source  Widrow, Kollar and Liu 1996, IEEE Trans. Instrum. Meas. 45, 353
@@ -250,7 +249,7 @@ def mean_rounding_error(place: FloatArray, std: FloatArray) -> FloatArray:
 def rounding_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:
     """Mean rounding error of a study's values, given that a fitted model is correct.
 
-    Less what has been taken out already.  By trial (times, markers, 2), m; 0 where values are not
+    Less the part already subtracted.  By trial (times, markers, 2), m; 0 where values are not
     rounded.  Empty where noise hides it, or where the study states its noise.
     """
     noise_model = prepared.noise_model
@@ -258,31 +257,31 @@ def rounding_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]
     least = min((level.of_markers.min() for level in prepared.levels.values()), default=1.0)
     if least * noise_model.noise.std_m > HIDING * step_m or not prepared.noise_is_measured:
         return {}
-    trials, markers, found = prepared.study.trials, len(prepared.study.arc_length_m), {}
+    trials, markers, errors_m = prepared.study.trials, len(prepared.study.arc_length_m), {}
     predicted = prepared.predict_all(trials, [fit.model], best_initial_states(prepared, fit))
     for trial, (points,) in zip(trials, predicted, strict=True):
         level = prepared.levels.get(trial.name)
         over = 1.0 if level is None else level.of_markers[:, None]
         square = (over * noise_model.noise.std_m / step_m) ** 2 - 1.0 / 12.0  # before rounding
-        origin, on_grid = _grid((trial.markers.xy_m + prepared.taken_out_m(trial)) / step_m)
+        origin, on_grid = _grid((trial.markers.xy_m + prepared.subtracted_m(trial)) / step_m)
         place = (points + prepared.mesh_m.get(trial.name, 0.0)) / step_m
-        there = (place - origin)[:, :markers]
-        error = mean_rounding_error(there, np.sqrt(np.maximum(square, 0.0)))
+        relative = (place - origin)[:, :markers]
+        error = mean_rounding_error(relative, np.sqrt(np.maximum(square, 0.0)))
         usable = on_grid[:markers] & np.isfinite(error)
-        rest_m = np.zeros_like(points) - prepared.rounding_m.get(trial.name, 0.0)
-        rest_m[:, :markers] += np.where(usable, error * step_m, 0.0)
-        found[trial.name] = rest_m
-    return found
+        error_m = np.zeros_like(points) - prepared.rounding_m.get(trial.name, 0.0)
+        error_m[:, :markers] += np.where(usable, error * step_m, 0.0)
+        errors_m[trial.name] = error_m
+    return errors_m
 
 
 def _grid(steps: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Per coordinate (points, 2) where a grid of step 1 begins, and whether there is one.
+    """Per coordinate (points, 2) the origin of a grid of step 1, and whether there is one.
 
-    steps  (times, points, 2) values in steps, nan where not seen
+    steps  (times, points, 2) values in steps, nan where not observed
     """
-    seen = np.isfinite(steps)
-    phases = np.exp(2j * np.pi * np.where(seen, steps, 0.0)) * seen
-    mean = phases.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    observed = np.isfinite(steps)
+    phases = np.exp(2j * np.pi * np.where(observed, steps, 0.0)) * observed
+    mean = phases.sum(axis=0) / np.maximum(observed.sum(axis=0), 1)
     return np.angle(mean) / (2.0 * np.pi), np.abs(mean) > ON_GRID
 
 
@@ -291,8 +290,8 @@ def without_rounding_error(
 ) -> PreparedStudy:
     """The study less the mean error of its rounded values.
 
-    While a marker moves over many steps its errors are new in every frame.  While it is slow they
-    stay, and look like a misfit: of values that are rounded to three times their noise or more.
+    For a marker that moves over many steps, rounding errors are independent between frames.  For a
+    slow one they are correlated and look like a misfit, if steps are three times the noise or more.
     error_m  of `rounding_error_m`
     """
     if not error_m:
@@ -311,4 +310,4 @@ def corrected(prepared: PreparedStudy, fit: Fit) -> PreparedStudy:
 
 def moved_m(before: PreparedStudy, after: PreparedStudy) -> dict[str, FloatArray]:
     """Per trial (times, markers, 2) difference in the markers between two corrections, m."""
-    return {t.name: after.taken_out_m(t) - before.taken_out_m(t) for t in after.study.trials}
+    return {t.name: after.subtracted_m(t) - before.subtracted_m(t) for t in after.study.trials}

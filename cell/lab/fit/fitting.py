@@ -17,13 +17,13 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.series import overall
 from cell.study.data import Markers, Trial
 
-#: First frames, of a cable in motion: for this share of the time that a hanging one needs to swing
-#: to and fro, and so many at least.
+#: First frames of a cable in motion: this share of the period of a hanging cable's swing, and at
+#: least so many.
 SHARE_OF_SWING = 0.1
 FEWEST_FRAMES = 6
-#: Markers are believed to this share of the free length: the model is not fitted yet.
-BELIEVED = 1e-3
-_PASSES = 3
+#: Minimum noise of the markers, as share of the free length: the model is not fitted yet.
+LEAST_NOISE = 1e-3
+_ITERATIONS = 3
 
 
 def estimate_initial_states(
@@ -31,52 +31,52 @@ def estimate_initial_states(
 ) -> dict[str, FloatArray]:
     """Likeliest initial states by trial, (models, unknowns); delays stay at 0.
 
-    Of trials that do not begin bent, 0.  Gauss–Newton on the first frames; what cannot be simulated
-    is left at 0.
+    By Gauss–Newton on the first frames; 0 for trials that do not begin bent, and for models that
+    cannot be simulated.
     """
-    return {t.name: _looked(prepared, t, models) for t in trials}
+    return {t.name: _by_frames(prepared, t, models) for t in trials}
 
 
-def _looked(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]) -> FloatArray:
+def _by_frames(prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]) -> FloatArray:
     state, lanes = prepared.initial_state(trial), len(models)
     initial_states = np.zeros((lanes, state.count))
     if not state.bent:
         return initial_states
     early = _early(prepared, trial)
-    seen = np.isfinite(early.markers.xy_m)
-    seen[:, len(prepared.study.arc_length_m) :] = False  # what a sensor shows has a tare
-    noise_m = max(prepared.noise.std_m, BELIEVED * prepared.study.cable.free_length_m)
+    observed = np.isfinite(early.markers.xy_m)
+    observed[:, len(prepared.study.arc_length_m) :] = False  # a sensor has an unknown tare
+    noise_m = max(prepared.noise.std_m, LEAST_NOISE * prepared.study.cable.free_length_m)
     first = int(state.delayed)
     free = np.arange(first, state.count)
     prior = np.diag(1.0 / state.std[free] ** 2)
-    every = [m for m in models for _ in range(len(free) + 1)]
-    for _ in range(_PASSES):
+    repeated = [m for m in models for _ in range(len(free) + 1)]
+    for _ in range(_ITERATIONS):
         tried = np.repeat(initial_states, len(free) + 1, axis=0).reshape(lanes, len(free) + 1, -1)
         for row, i in enumerate(free, 1):
             tried[:, row, i] += state.step[i]
-        points = prepared.predict(early, every, tried.reshape(-1, state.count))
-        points = points.reshape(lanes, len(free) + 1, *seen.shape)[:, :, seen] / noise_m
-        slopes = (points[:, 1:] - points[:, :1]) / state.step[free][:, None]
-        missed = early.markers.xy_m[seen] / noise_m - points[:, 0]
+        points = prepared.predict(early, repeated, tried.reshape(-1, state.count))
+        points = points.reshape(lanes, len(free) + 1, *observed.shape)[:, :, observed] / noise_m
+        jacobian = (points[:, 1:] - points[:, :1]) / state.step[free][:, None]
+        residual = early.markers.xy_m[observed] / noise_m - points[:, 0]
         for lane in np.flatnonzero(np.isfinite(points).all(axis=(1, 2))):
-            s, here = slopes[lane], initial_states[lane, free]
-            step = np.linalg.solve(s @ s.T + prior, s @ missed[lane] - prior @ here)
-            initial_states[lane, free] = here + step
+            s, current = jacobian[lane], initial_states[lane, free]
+            step = np.linalg.solve(s @ s.T + prior, s @ residual[lane] - prior @ current)
+            initial_states[lane, free] = current + step
         initial_states = np.clip(initial_states, -state.limit, state.limit)
     return initial_states
 
 
 def _early(prepared: PreparedStudy, trial: Trial) -> Trial:
-    """The first frames of a trial, before a held cable is let go if there are any."""
+    """The first frames of a trial; those before the release of a held cable if there are any."""
     t_s, study = trial.markers.t_s, prepared.study
     if trial.release_s is not None:
         count = int(np.searchsorted(t_s, trial.release_s, "right"))
-        keep = slice(0, count) if count else slice(0, 1)
+        first = slice(0, count) if count else slice(0, 1)
     else:
         swing_s = 2.0 * np.pi * np.sqrt(study.cable.free_length_m / study.scale_m_per_s2)
         count = int(np.searchsorted(t_s, t_s[0] + SHARE_OF_SWING * swing_s))
-        keep = slice(0, max(count, FEWEST_FRAMES))
-    return replace(trial, markers=Markers(t_s[keep], trial.markers.xy_m[keep]))
+        first = slice(0, max(count, FEWEST_FRAMES))
+    return replace(trial, markers=Markers(t_s[first], trial.markers.xy_m[first]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class Fit:
     q          (p,) coordinates of `space`
     initial_states      unknowns of each fit trial's initial state, where it has any
     solution   of the minimiser; its coordinates are q, then these unknowns
-    chi2       whitened square residuals; objective adds the prior's
-    rms_m      per coordinate, forces included, as lengths of as much noise
+    chi2       sum of squares of whitened residuals; objective adds the prior's
+    rms_m      per coordinate, forces included (scaled to lengths by their noise)
     markers_rms_m   of the markers alone
     initial_state_std  of the prior of all these unknowns
     """
@@ -108,13 +108,13 @@ class Fit:
         return self.space.model(self.q)
 
     @property
-    def promised_objective(self) -> float:
-        """Where the objective would end, were the model linear where the fit was left."""
+    def predicted_objective(self) -> float:
+        """Predicted objective at the minimum, by the linear model at the last step."""
         return self.objective - (0.0 if self.solution.converged_or_idle else self.solution.promised)
 
     @property
     def arrived(self) -> bool:
-        """Whether the minimum, were the model linear, is within one standard deviation."""
+        """Whether the minimum of the linear model is within one standard deviation."""
         return self.solution.promised <= self.widening
 
     @property
@@ -124,7 +124,7 @@ class Fit:
 
     @property
     def covariance(self) -> FloatArray:
-        """(p, p) of q, were the residuals white noise."""
+        """(p, p) of q for residuals of white noise."""
         p = len(self.q)
         return np.asarray(self.solution.covariance[:p, :p])
 
@@ -166,24 +166,24 @@ def fit_model(
     options: gauss_newton.Options = gauss_newton.Options(tolerance=0.03),  # noqa: B008
     from_far: bool = False,
 ) -> Fit:
-    """Fit near `start`, with what is unknown of the trials' initial states as further unknowns.
+    """Fit near `start`, with the unknowns of the trials' initial states as further unknowns.
 
-    initial_states   where to begin with these, as of an earlier fit
+    initial_states   their start values, as of an earlier fit
     trials  default: the `fit` trials
     residual_scale  residuals are divided by it: where a model cannot fit, the prior then still
             keeps its parameters plausible
-    from_far  the way is long: it is gone with the simulations that slopes are taken of, if there
-            are any, and only its end looked for with the study's own
+    from_far  the start is far away: minimise first with the coarser solver of the slopes, if there
+            is one, then with the study's own
     raises  UnsimulatedError: the model cannot be simulated at the start
     """
     trials = fit_trials(prepared) if trials is None else trials
     p, std = len(space.names), _joined([prepared.initial_state(t).std for t in trials])
     problem = problem_of(prepared, space, trials, residual_scale)
-    begin = _nearer_initial_states(prepared, space, trials, start, initial_states or {})
+    begin = _start_coordinates(prepared, space, trials, start, initial_states or {})
     solution = None
     if from_far and prepared.slope_solver is not None:
         coarse = problem_of(prepared.coarser(prepared.slope_solver), space, trials, residual_scale)
-        solution = _minimised_in_two(coarse, problem, begin, options)
+        solution = _coarse_to_fine(coarse, problem, begin, options)
     if solution is None:
         solution = gauss_newton.minimise(problem, begin, options)
     solution = replace(
@@ -191,12 +191,12 @@ def fit_model(
         residual=solution.residual * residual_scale,
         jacobian=solution.jacobian * residual_scale,
     )
-    q, found = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
-    predicted = prepared.predict_all(trials, [space.model(q)], found)
+    q, states = solution.q[:p], by_trial(prepared, trials, solution.q[None, p:])
+    predicted = prepared.predict_all(trials, [space.model(q)], states)
     chi2 = float(solution.residual @ solution.residual)
-    at_first = {name: rows[0] for name, rows in found.items()}
+    initial = {name: rows[0] for name, rows in states.items()}
     rms_m = rms_of(prepared, trials, [points[0] for points in predicted])
-    return Fit(space, q, at_first, solution, chi2, solution.objective, *rms_m, std)
+    return Fit(space, q, initial, solution, chi2, solution.objective, *rms_m, std)
 
 
 def rms_of(
@@ -208,7 +208,7 @@ def rms_of(
     return overall(errors), overall(places)
 
 
-def _minimised_in_two(
+def _coarse_to_fine(
     coarse: gauss_newton.LeastSquaresProblem,
     problem: gauss_newton.LeastSquaresProblem,
     begin: FloatArray,
@@ -216,16 +216,16 @@ def _minimised_in_two(
 ) -> Solution | None:
     """The minimum of a problem from that of a coarser one; None if one cannot be simulated there.
 
-    From where the coarser one was still on its way it is not gone on: it would not have arrived.
+    If the coarser fit did not converge, the finer one makes a single iteration only.
     """
     try:
         near = gauss_newton.minimise(coarse, begin, options)
-        left = options.max_iterations - near.iterations if near.converged_or_idle else 0
-        few = replace(options, max_iterations=1 + max(0, left))
-        found = gauss_newton.minimise(problem, near.q, few, near.jacobian)
+        remaining = options.max_iterations - near.iterations if near.converged_or_idle else 0
+        limited = replace(options, max_iterations=1 + max(0, remaining))
+        solution = gauss_newton.minimise(problem, near.q, limited, near.jacobian)
     except gauss_newton.UnsimulatedError:
         return None
-    return replace(found, iterations=near.iterations + found.iterations - 1)
+    return replace(solution, iterations=near.iterations + solution.iterations - 1)
 
 
 def problem_of(
@@ -244,16 +244,16 @@ def problem_of(
     precision = np.zeros((p + len(std), p + len(std)))
     precision[:p, :p] = space.precision
     precision[p:, p:] = np.diag(1.0 / std**2)
-    slopes = None
+    coarse_residuals = None
     if prepared.slope_solver is not None:
-        near = prepared.coarser(prepared.slope_solver)
+        coarse = prepared.coarser(prepared.slope_solver)
 
-        def slopes(q: FloatArray) -> FloatArray:
-            return residuals(near, space, trials, q) / residual_scale
+        def coarse_residuals(q: FloatArray) -> FloatArray:
+            return residuals(coarse, space, trials, q) / residual_scale
 
     return gauss_newton.LeastSquaresProblem(
         residuals=lambda q: residuals(prepared, space, trials, q) / residual_scale,
-        jacobian=slopes,
+        jacobian=coarse_residuals,
         mean=np.concatenate([space.mean, np.zeros(len(std))]),
         precision=precision,
         step=np.concatenate([space.step, _joined([b.step for b in unknown])]),
@@ -271,31 +271,31 @@ def by_trial(
     prepared: PreparedStudy, trials: Sequence[Trial], rows: FloatArray
 ) -> dict[str, FloatArray]:
     """Initial states (lanes, all unknowns), split by trial, for trials that have unknowns."""
-    found, begin = {}, 0
+    states, begin = {}, 0
     for trial in trials:
         if count := prepared.initial_state(trial).count:
-            found[trial.name] = rows[:, begin : begin + count]
+            states[trial.name] = rows[:, begin : begin + count]
             begin += count
-    return found
+    return states
 
 
-def _nearer_initial_states(
+def _start_coordinates(
     prepared: PreparedStudy,
     space: ParameterSpace,
     trials: Sequence[Trial],
     start: FloatArray,
-    known: Mapping[str, FloatArray],
+    states: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Coordinates of a fit's start: of initial states known from another fit or newly estimated.
+    """Coordinates of a fit's start, with initial states from another fit or newly estimated.
 
-    Those of trials that begin bent belong to a model; the set that leaves less is taken.
+    Those of trials that begin bent depend on the model: the set with the smaller residual is used.
     """
-    looked = estimate_initial_states(prepared, trials, [space.model(start)])
-    given = {t.name: known.get(t.name, looked[t.name][0]) for t in trials}
-    if not known or not any(t.bent for t in trials):
-        return np.concatenate([start, *given.values()])
-    new = {t.name: looked[t.name][0] if t.bent else given[t.name] for t in trials}
-    q = np.stack([np.concatenate([start, *chosen.values()]) for chosen in (given, new)])
+    estimated = estimate_initial_states(prepared, trials, [space.model(start)])
+    earlier = {t.name: states.get(t.name, estimated[t.name][0]) for t in trials}
+    if not states or not any(t.bent for t in trials):
+        return np.concatenate([start, *earlier.values()])
+    renewed = {t.name: estimated[t.name][0] if t.bent else earlier[t.name] for t in trials}
+    q = np.stack([np.concatenate([start, *chosen.values()]) for chosen in (earlier, renewed)])
     square = np.sum(residuals(prepared, space, trials, q) ** 2, axis=1)
     return np.asarray(q[int(np.argmin(np.where(np.isfinite(square), square, np.inf)))])
 
@@ -305,8 +305,8 @@ def residuals(
 ) -> FloatArray:
     """(lanes, rows) whitened residuals of all trials.
 
-    q  (lanes, p + unknowns of the trials' initial states); (lanes, p) = as noted, or as the first
-       frames show it for each lane's model
+    q  (lanes, p + unknowns of the trials' initial states); (lanes, p) = as recorded, or estimated
+       from the first frames with each lane's model
     """
     p = len(space.names)
     if q.shape[1] > p and any(t.bent for t in trials):
@@ -322,7 +322,7 @@ def residuals(
 def _each_once(
     prepared: PreparedStudy, space: ParameterSpace, trials: Sequence[Trial], q: FloatArray
 ) -> FloatArray:
-    """The same; lanes that differ in how another trial begins are simulated once in each trial."""
+    """The same; lanes that are equal in a trial are simulated there only once."""
     p = len(space.names)
     initial_states, parts = by_trial(prepared, trials, q[:, p:]), []
     for trial in trials:
@@ -334,7 +334,7 @@ def _each_once(
 
 
 def errors_m(prepared: PreparedStudy, fit: Fit) -> list[FloatArray]:
-    """Per trial fitted to (times, channels): measured − predicted, m, nan where not seen."""
+    """Per trial fitted to (times, channels): measured − predicted, m, nan where not observed."""
     trials = fit_trials(prepared)
     white = prepared.by_trial(trials, fit.solution.residual)
     return [
@@ -347,13 +347,13 @@ def extended(
     fit: Fit, space: ParameterSpace, effect: type[Effect], values: FloatArray
 ) -> FloatArray:
     """Coordinates in `space` (one more effect than the fit's) with the effect at `values`."""
-    return with_values(space, taken_from(fit, space), effect, values)
+    return with_values(space, start_from(fit, space), effect, values)
 
 
-def taken_from(fit: Fit, space: ParameterSpace) -> FloatArray:
-    """(p,) coordinates in another space: as in a fit, or as its prior has them."""
-    known = dict(zip(fit.space.names, fit.q, strict=True))
-    return np.array([known.get(n, q) for n, q in zip(space.names, space.mean, strict=True)])
+def start_from(fit: Fit, space: ParameterSpace) -> FloatArray:
+    """(p,) coordinates in another space: of a fit, or its prior's mean where the fit has none."""
+    fitted = dict(zip(fit.space.names, fit.q, strict=True))
+    return np.array([fitted.get(n, q) for n, q in zip(space.names, space.mean, strict=True)])
 
 
 def with_values(
@@ -369,8 +369,8 @@ def with_values(
 def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> ParameterSpace:
     """The parameter space of the same cable, prior and baseline, with other effects.
 
-    The prior of everything that both spaces have is kept, an earlier individual's included; the
-    amplitudes of effects have none to speak of.
+    The prior of all parameters common to both spaces is kept, an earlier individual's included; the
+    prior of the effects' amplitudes is very wide.
     """
     of_effects = tuple(f"{e.name}." for e in effects)
     new = ParameterSpace.of(
@@ -381,14 +381,14 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
         exact={n: v for n, v in space.exact if n.startswith(of_effects)},
         pull_m_per_s2=space.pull_m_per_s2,
     )
-    kept = [n for n in new.names if n in space.names]
-    to = [new.names.index(n) for n in kept]
-    source = [space.names.index(n) for n in kept]
+    common = [n for n in new.names if n in space.names]
+    target = [new.names.index(n) for n in common]
+    source = [space.names.index(n) for n in common]
     mean, precision = new.mean.copy(), new.precision.copy()
-    mean[to] = space.mean[source]
-    precision[np.ix_(to, to)] = space.precision[np.ix_(source, source)]
+    mean[target] = space.mean[source]
+    precision[np.ix_(target, target)] = space.precision[np.ix_(source, source)]
     low, high = new.low.copy(), new.high.copy()
-    low[to], high[to] = space.low[source], space.high[source]
+    low[target], high[target] = space.low[source], space.high[source]
     for effect in effects:
         for parameter in effect.parameters:
             name = f"{effect.name}.{parameter.name}"
@@ -397,8 +397,8 @@ def space_with(space: ParameterSpace, effects: Sequence[type[Effect]]) -> Parame
             i = new.names.index(name)
             if not parameter.fitted:
                 low[i] = high[i] = mean[i]
-            elif parameter.amplitude and i not in to:
-                # no opinion on how strong it is: cables differ by orders of magnitude
+            elif parameter.amplitude and i not in target:
+                # uninformative: cables differ by orders of magnitude
                 precision[i, i] = (parameter.high - parameter.low) ** -2.0
     return replace(new, mean=mean, precision=precision, low=low, high=high)
 
@@ -409,9 +409,9 @@ def pinned(space: ParameterSpace, q: FloatArray) -> ParameterSpace:
 
 
 def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial) -> FloatArray:
-    """(unknowns,) likeliest initial state of one trial; as noted if it cannot be simulated.
+    """(unknowns,) likeliest initial state of one trial; as recorded if it cannot be simulated.
 
-    Where no work is left, as the first frames show it.
+    If the budget of work is spent, estimated from the first frames.
     """
     state = prepared.initial_state(trial)
     problem = gauss_newton.LeastSquaresProblem(
@@ -437,39 +437,39 @@ def best_initial_state(prepared: PreparedStudy, model: CableModel, trial: Trial)
 def best_initial_states(
     prepared: PreparedStudy, fit: Fit, trials: Sequence[Trial] | None = None
 ) -> dict[str, FloatArray]:
-    """By trial (1, unknowns): the initial state, as fitted, else the likeliest one.
+    """By trial (1, unknowns): the fitted initial state, else the likeliest one.
 
     trials  None = those of the study
     """
     states = {}
     for trial in prepared.study.trials if trials is None else trials:
-        known = fit.initial_states.get(trial.name)
-        state = best_initial_state(prepared, fit.model, trial) if known is None else known
+        fitted = fit.initial_states.get(trial.name)
+        state = best_initial_state(prepared, fit.model, trial) if fitted is None else fitted
         states[trial.name] = state[None]
     return states
 
 
 #: Steps tried, in units of the solver's.
 LONGER = (3.0, 2.0)
-#: Largest error of a parameter's slopes, as a share of them and of what the prior knows.
+#: Largest error of a parameter's slopes, as share of the root of its information, prior included.
 HARMLESS = 0.02
 
 
 def with_slope_solver(prepared: PreparedStudy, fit: Fit) -> tuple[PreparedStudy, Fit]:
-    """The study with the longest time step for which the jacobian of a fit stays the same.
+    """The study with the longest time step that does not change the jacobian of a fit.
 
-    And the fit with slopes by that step: what is compared with them will be simulated so too.
+    And the fit with its jacobian by that step, as later derivatives will have.
     """
     if prepared.slope_solver is not None:
         return prepared, fit
     trials, jacobian = fit_trials(prepared), fit.solution.jacobian
-    known = np.diag(problem_of(prepared, fit.space, trials).precision)
-    size = np.sqrt(np.sum(jacobian**2, axis=0) + known)
+    prior_information = np.diag(problem_of(prepared, fit.space, trials).precision)
+    size = np.sqrt(np.sum(jacobian**2, axis=0) + prior_information)
     for longer in LONGER:
         solver = replace(prepared.solver, step_s=longer * prepared.solver.step_s)
         problem = problem_of(replace(prepared, solver=solver), fit.space, trials)
-        near = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
-        if np.all(np.linalg.norm(near - jacobian, axis=0) <= HARMLESS * size):
-            solution = replace(fit.solution, jacobian=near)
+        coarse = jacobian_at(problem, fit.solution.q, fit.solution.covariance)
+        if np.all(np.linalg.norm(coarse - jacobian, axis=0) <= HARMLESS * size):
+            solution = replace(fit.solution, jacobian=coarse)
             return replace(prepared, slope_solver=solver), replace(fit, solution=solution)
     return prepared, fit

@@ -22,10 +22,10 @@ from cell.study.data import Markers, Trial
 class Heldout:
     """A fitted model on trials that it was not fitted to.
 
-    rms_m            per coordinate, over all of them; forces included, as lengths of as much noise
+    rms_m            per coordinate, over all of them; forces included (scaled by their noise)
     markers_rms_m    of the markers alone
-    chi2             of the residuals, allowing for what the fit leaves uncertain: about `count`
-                     if the model is right
+    chi2             of the residuals, given the covariance of the prediction: about `count` if the
+                     model is right
     log_likelihood   of the trials given the fit (natural logarithm, without a common constant)
     predicted_m      per trial (times, markers, 2)
     """
@@ -40,14 +40,14 @@ class Heldout:
 
 @dataclass(frozen=True, eq=False)
 class HeldoutRows:
-    """Whitened residuals of held-out trials, and their change by what is uncertain in the fit.
+    """Whitened residuals of held-out trials, and their derivatives by the uncertain parameters.
 
     predicted_m    per trial (times, markers, 2)
     residual       (rows,) of all trials
     by_parameters  (rows, p) change per unit of the fit's coordinates
     by_states      (rows, unknowns) change by a standard deviation of each unknown of the trials'
                    initial states
-    spread         (rows, k) change by a standard deviation of all that is uncertain
+    spread         (rows, k) root of the prediction's covariance, parameters and initial states
     initial_states by trial (unknowns,) the likeliest ones
     """
 
@@ -62,8 +62,8 @@ class HeldoutRows:
 def heldout(prepared: PreparedStudy, fit: Fit) -> Heldout | None:
     """The fit on the `validate` trials; None if there are none.
 
-    Their likelihood integrates over what the fit leaves uncertain (linearised), so that a model
-    is not punished for numbers that its fit trials could not know.  A model with which a held-out
+    Their likelihood integrates over the uncertain parameters (linearised), so that a model is not
+    penalised for parameters that its fit trials do not determine.  A model with which a held-out
     trial cannot be simulated has likelihood 0 and infinite errors.
     """
     trials = prepared.study.role("validate")
@@ -87,22 +87,22 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
     lanes = [space.model(q) for q in difference_points(fit.q, steps)]
     states = {t.name: prepared.initial_state(t) for t in trials}
     likeliest = {t.name: best_initial_state(prepared, fit.model, t) for t in trials}
-    # then lanes with an initial state moved: the same lane moves one unknown of every trial
-    more = max((state.count for state in states.values()), default=0)
+    # then lanes with a perturbed initial state: each lane perturbs one unknown of every trial
+    extra = max((state.count for state in states.values()), default=0)
     initial_states = {}
     for name, state in states.items():
         if state.count:
-            rows = np.tile(likeliest[name], (len(lanes) + more, 1))
+            rows = np.tile(likeliest[name], (len(lanes) + extra, 1))
             rows[len(lanes) + np.arange(state.count), np.arange(state.count)] += state.step
             initial_states[name] = rows
     first = {name: rows[:1] for name, rows in initial_states.items()}
     here = prepared.predict_all(trials, lanes[:1], first)
     predicted = {t.name: points[0] for t, points in zip(trials, here, strict=True)}
     white = [prepared.white(t, points)[0] for t, points in zip(trials, here, strict=True)]
-    near = prepared.white_near(trials, [*lanes, *[fit.model] * more], initial_states)
-    by_parameters = np.asarray((near[1 : p + 1] - near[0]).T / steps)
-    moved = prepared.by_trial(trials, (near[p + 1 :] - near[0]).T)
-    by_state = [moved[name][:, : s.count] / s.step * s.std for name, s in states.items()]
+    changed = prepared.white_near(trials, [*lanes, *[fit.model] * extra], initial_states)
+    by_parameters = np.asarray((changed[1 : p + 1] - changed[0]).T / steps)
+    by_unknown = prepared.by_trial(trials, (changed[p + 1 :] - changed[0]).T)
+    by_state = [by_unknown[name][:, : s.count] / s.step * s.std for name, s in states.items()]
     by_states = np.asarray(block_diag(*by_state))
     spread = np.hstack([by_parameters @ parameters_root(fit.covariance), by_states])
     residual = np.concatenate(white)
@@ -110,22 +110,22 @@ def heldout_rows(prepared: PreparedStudy, fit: Fit) -> HeldoutRows:
 
 
 def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> float:
-    """ln of how much likelier the held-out trials must be with an effect of the fit than without.
+    """Expected ln likelihood ratio of the held-out trials with and without an effect of the fit.
 
-    By the effect itself: it is switched off and all else left as fitted, but for what the fit
-    leaves uncertain.  Changes of the other parameters in its presence do not count.
+    Only the effect is switched off; the other parameters stay as fitted, within their conditional
+    covariance given the effect.
     """
     trials, rows = prepared.study.role("validate"), heldout_rows(prepared, fit)
     space = fit.space
     own = [i for i, name in enumerate(space.names) if name.startswith(f"{effect.name}.")]
-    rest = [i for i in range(len(fit.q)) if i not in own]
-    off = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
+    other = [i for i in range(len(fit.q)) if i not in own]
+    without = extended(fit, space, effect, np.array([q.default for q in effect.parameters]))
     states = {name: np.tile(values, (2, 1)) for name, values in rows.initial_states.items()}
-    white = prepared.white_near(trials, [fit.model, space.model(off)], states)
-    covariance, among = fit.covariance, np.ix_(rest, own)
-    given = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
-    uncertain = covariance[np.ix_(rest, rest)] - covariance[among] @ given @ covariance[among].T
-    spread = rows.by_parameters[:, rest] @ parameters_root(uncertain)
+    white = prepared.white_near(trials, [fit.model, space.model(without)], states)
+    covariance, among = fit.covariance, np.ix_(other, own)
+    inner = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
+    conditional = covariance[np.ix_(other, other)] - covariance[among] @ inner @ covariance[among].T
+    spread = rows.by_parameters[:, other] @ parameters_root(conditional)
     if any(t.bent for t in trials):
         spread = np.hstack([spread, rows.by_states])
     if not all(np.all(np.isfinite(r)) for r in (white[0], rows.by_parameters, spread)):
@@ -136,11 +136,11 @@ def heldout_log_lr(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> f
     return 0.5 * chi2
 
 
-#: Points that show the whole cable, however few markers it has.
+#: Number of points that show the complete cable.
 DRAWN = 21
 
 
-def predict_whole_cable(
+def predict_cable(
     prepared: PreparedStudy,
     trial: Trial,
     models: Sequence[CableModel],
@@ -148,7 +148,7 @@ def predict_whole_cable(
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted markers (models, times, markers, 2), and points along the cable (…, `DRAWN`, 2).
 
-    In metres; nan where they cannot be simulated.  Behind the markers are gauges, if there are any.
+    In metres; nan where they cannot be simulated.  After the markers come gauges, if there are any.
     """
     study = prepared.study
     drawn = np.linspace(study.cable.length_m, 0.0, DRAWN)
@@ -160,6 +160,6 @@ def predict_whole_cable(
     points = finer.predict(
         blank, models, None if initial_states is None else np.tile(initial_states, (len(models), 1))
     )
-    at, shape = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
-    at = np.concatenate([at, np.arange(len(arcs), len(arcs) + gauges)])
-    return points[:, :, at], points[:, :, shape]
+    marker_index, drawn_index = (np.searchsorted(-arcs, -s) for s in (study.arc_length_m, drawn))
+    marker_index = np.concatenate([marker_index, np.arange(len(arcs), len(arcs) + gauges)])
+    return points[:, :, marker_index], points[:, :, drawn_index]

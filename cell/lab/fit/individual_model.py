@@ -1,4 +1,4 @@
-"""A cable's model as a file: read, checked, and taken as the prior of another fit."""
+"""A cable's model as a file: read, checked, and used as the prior of another fit."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from cell.identify.parameters import ParameterSpace, Prior
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study
 
-#: Datasheets of one kind of cable agree to this.
+#: Relative tolerance of the datasheets of one kind of cable.
 SAME_CABLE = 0.01
 
 
 def read_model(path: Path, own: Mapping[str, type[Effect]] | None = None) -> Identified:
     """The model in a file, with its effects.
 
-    A user's own effects are loaded from the files that the model names, or from given the model.
-    own     effects given instead, by name; their files must be those that the model was fitted with
+    A user's own effects are loaded from the files that the model names, or next to the model.
+    own     effects to use instead, by name; their files must be those used for the fit
     raises  InputError: the model cannot be read, or is something else, or an effect's file is
             missing or has changed; EffectError: that file
     """
@@ -47,7 +47,7 @@ def _effects(
     model: Path, data: Mapping[str, Any], own: Mapping[str, type[Effect]]
 ) -> dict[str, type[Effect]]:
     """The effects that a model's data name."""
-    known = dict(known_effects())
+    effects = dict(known_effects())
     files = data.get("effect_files", {})
     if not isinstance(files, dict):
         raise InputError.at(model, f"effect_files is {files!r}; fit the model again")
@@ -58,31 +58,31 @@ def _effects(
             raise InputError.at(
                 model, f"effect_files.{name} lacks path or sha256; fit the model again"
             )
-        given = own.get(name)
-        if given is None:
+        override = own.get(name)
+        if override is None:
             file = _effect_file(model, name, entry)
             if entry.get("confined"):
                 confine_effects(file)
-            known[name] = effect_from(str(file))
-        elif given.file is None or given.file.sha256 != entry["sha256"]:
-            raise _changed(model, name, entry, given.file)
+            effects[name] = effect_from(str(file))
+        elif override.file is None or override.file.sha256 != entry["sha256"]:
+            raise _changed(model, name, entry, override.file)
         else:
-            known[name] = given
-    return known
+            effects[name] = override
+    return effects
 
 
 def _effect_file(model: Path, name: str, entry: Mapping[str, str]) -> Path:
-    """The unchanged file of a model's own effect: where it was, or given the model."""
+    """The unchanged file of a model's own effect: at its stated path, or next to the model."""
     stated = Path(entry["path"])
-    there = [p for p in (stated, model.parent / stated.name) if p.is_file()]
-    if not there:
+    present = [p for p in (stated, model.parent / stated.name) if p.is_file()]
+    if not present:
         raise InputError.at(
             model,
             f"was fitted with the effect {name} of {stated}, SHA-256 {entry['sha256']}; this file "
             "is missing, also next to the model: put it back, or say with --with where it is, or "
             "fit the model again",
         )
-    files = [EffectFile(p, file_sha256(p)) for p in there]
+    files = [EffectFile(p, file_sha256(p)) for p in present]
     for file in files:
         if file.sha256 == entry["sha256"]:
             return file.path
@@ -104,17 +104,17 @@ def _changed(
 def check_same_kind(path: Path, model: Identified, cable: Cable) -> None:
     """Raise InputError if a model is of another kind of cable than the datasheet's."""
     for name, value in cable.numbers.items():
-        theirs = model.space.cable.numbers[name]
-        if abs(theirs - value) > SAME_CABLE * value:
+        fitted = model.space.cable.numbers[name]
+        if abs(fitted - value) > SAME_CABLE * value:
             raise InputError.at(
                 path,
-                f"is of another cable: its {name} is {theirs:g}, the study's {value:g}; "
+                f"is of another cable: its {name} is {fitted:g}, the study's {value:g}; "
                 "give a model of the same kind of cable",
             )
 
 
 def prior_space(study: Study, model: Identified) -> ParameterSpace:
-    """The study's parameters with an earlier individual's posterior as prior, its effects in."""
+    """The study's parameters with an earlier individual's posterior as prior, with its effects."""
     space = ParameterSpace.of(
         study.cable,
         gravity_m_per_s2=study.gravity_m_per_s2,
@@ -129,10 +129,10 @@ def prior_space(study: Study, model: Identified) -> ParameterSpace:
 def misfit(model: Identified, rms_m: float = 0.0) -> Noise:
     """The residual of an earlier individual's model, as noise of independent frames.
 
-    Where a model errs it errs for many frames; they count as the few that they are worth, by a
-    level raised by the root of the residual's correlation time (`inflation` over its mean square).
+    The errors of a model are correlated over many frames.  Their lower information is expressed by
+    a level raised by the root of the correlation time (`inflation` over the mean square).
     rms_m  error of the present study's best model, if that is larger
     """
     square = (model.residual_rms_m / model.noise.std_m) ** 2
-    time = max(model.inflation / max(square, 1.0), 1.0)
-    return Noise(max(model.residual_rms_m, rms_m) * float(np.sqrt(time)))
+    correlation_time = max(model.inflation / max(square, 1.0), 1.0)
+    return Noise(max(model.residual_rms_m, rms_m) * float(np.sqrt(correlation_time)))

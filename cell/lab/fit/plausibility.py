@@ -7,13 +7,12 @@ import numpy as np
 from cell.lab.data.prepared import PreparedStudy, once_per_study
 from cell.lab.fit.fitting import Fit, fit_trials
 
-#: A model that leaves this share of what the markers move (rms) is no model of the cable.
+#: A model with an error above this share of the markers' motion (rms) does not fit the cable.
 HOPELESS_SHARE = 0.5
-#: One that leaves more than this many times as much is not of this cable in this frame; an effect
-#: of it is not searched.  Cables in need of an effect have left 1.2 times as much, mirrored ones 3
-#: to 12.
+#: With an error above this multiple of the motion the study is wrong: no effect is searched. Cables
+#: with a missing effect had errors up to 1.2 times the motion, mirrored ones 3 to 12 times.
 NO_MODEL = 2.0
-#: An amplitude is at its bound within this share of the way there from none of the effect.
+#: An amplitude is at its bound within this share of the distance from zero to the bound.
 NEAR_BOUND = 0.01
 
 
@@ -33,17 +32,17 @@ def marker_motion_m(prepared: PreparedStudy) -> float:
     square, count = 0.0, 0
     for trial in fit_trials(prepared):
         for series in trial.markers.xy_m.reshape(len(trial.markers.t_s), -1).T:
-            seen = series[np.isfinite(series)]
-            if seen.size:
-                square += float(np.sum((seen - seen.mean()) ** 2))
-                count += seen.size
+            observed = series[np.isfinite(series)]
+            if observed.size:
+                square += float(np.sum((observed - observed.mean()) ** 2))
+                count += observed.size
     return float(np.sqrt(square / max(count, 1)))
 
 
 def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
     """Fitted parameters that lie at a bound, except amplitudes that are absent there.
 
-    An amplitude that is all but there is there: the last of the way costs a search nothing.
+    An amplitude very near its bound counts: the small rest hardly changes the objective.
     returns  (name, value, unit) of each
     """
     space, q = fit.space, fit.q
@@ -51,12 +50,12 @@ def at_bound(fit: Fit) -> list[tuple[str, float, str]]:
         f"{e.name}.{p.name}": p.default for e in space.effects for p in e.parameters if p.amplitude
     }
     values = space.natural(q)
-    found = []
+    parameters = []
     for i, name in enumerate(space.names):
         default = absent.get(name)
         ends = space.natural(space.low)[i], space.natural(space.high)[i]
-        near = [0.0 if default is None else NEAR_BOUND * abs(end - default) for end in ends]
-        outside = values[i] <= ends[0] + near[0] or values[i] >= ends[1] - near[1]
+        tolerance = [0.0 if default is None else NEAR_BOUND * abs(end - default) for end in ends]
+        outside = values[i] <= ends[0] + tolerance[0] or values[i] >= ends[1] - tolerance[1]
         if space.low[i] < space.high[i] and outside and default != values[i]:
-            found.append((name, float(values[i]), space.units[i]))
-    return found
+            parameters.append((name, float(values[i]), space.units[i]))
+    return parameters

@@ -1,4 +1,4 @@
-"""Projections onto what the fitted parameters of a model cannot imitate, by its linearised fit."""
+"""Projections off the fitted parameters of a model, by its linearised fit."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ class Projection:
 
     @staticmethod
     def of(residual: FloatArray, derivatives: FloatArray, independent: float = 0.0) -> Projection:
-        """Of a residual (values,) and derivatives (values, k).
+        """The projection of a residual (values,) by derivatives (values, k).
 
-        independent  share of the strongest direction that is left out as rounding error
+        independent  directions below this share of the strongest are dropped as rounding error
         """
         basis, triangle = np.linalg.qr(derivatives)
         if independent:
             strength = np.abs(np.diag(triangle))
-            kept = strength > independent * max(strength.max(initial=0.0), 1e-300)
-            basis, triangle = basis[:, kept], triangle[np.ix_(kept, kept)]
+            significant = strength > independent * max(strength.max(initial=0.0), 1e-300)
+            basis, triangle = basis[:, significant], triangle[np.ix_(significant, significant)]
         return Projection(basis, triangle, residual - basis @ (basis.T @ residual))
 
     def moved(self, change: FloatArray) -> Projection:
-        """With a residual that is changed; the prior's rows, which come last, are not."""
+        """The projection of a changed residual; the prior's rows, the last ones, do not change."""
         behind = len(self.residual) - len(change)
         moved = self.residual + self.remove(np.pad(change, (0, behind)))
         return Projection(self.basis, self.triangle, moved)
 
     def remove(self, rows: FloatArray) -> FloatArray:
-        """(…, values) without what the fitted parameters can imitate."""
+        """(…, values) projected off the fitted parameters."""
         return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
 
     def coordinates(self, rows: FloatArray) -> FloatArray:
-        """(k, n) how far the parameters move by changes (n, values) of the residual."""
+        """(k, n) shift of the parameters by changes (n, values) of the residual."""
         return np.asarray(np.linalg.solve(self.triangle, self.basis.T @ rows.T))
 
 
@@ -59,8 +59,8 @@ def nuisance_of(fit: Fit) -> Projection:
 
 def residual_with_prior(fit: Fit, mesh: FloatArray | float = 0.0) -> FloatArray:
     """(rows,) residual of a fit, moved by the mesh's error; the prior's rows last."""
-    away = np.concatenate([fit.q - fit.space.mean, fit.solution.q[len(fit.q) :]])
-    return np.concatenate([fit.solution.residual + mesh, prior_root(fit) @ away])
+    offset = np.concatenate([fit.q - fit.space.mean, fit.solution.q[len(fit.q) :]])
+    return np.concatenate([fit.solution.residual + mesh, prior_root(fit) @ offset])
 
 
 def jacobian_with_prior(fit: Fit) -> FloatArray:
@@ -73,7 +73,7 @@ def prior_root(fit: Fit) -> FloatArray:
     p, rows = len(fit.q), len(fit.solution.q)
     precision = np.zeros((rows, rows))
     precision[:p, :p] = fit.space.precision
-    # modes have a prior; a delay alone is free
+    # modes have a prior; a single delay has none
     if any(len(b) > 1 for b in fit.initial_states.values()):
         precision[p:, p:] = np.diag(1.0 / fit.initial_state_std**2)
     return np.asarray(covariance_root(precision).T)
@@ -82,7 +82,7 @@ def prior_root(fit: Fit) -> FloatArray:
 def orthonormal(columns: FloatArray, least: float, *, of_largest: bool = False) -> FloatArray:
     """(values, k) orthonormal basis of the span of columns (values, n).
 
-    least       singular value of a direction that is kept
+    least       smallest singular value of a direction in the basis
     of_largest  as a share of the largest
     """
     units, sizes, _ = np.linalg.svd(columns, full_matrices=False)

@@ -1,4 +1,4 @@
-"""Score tests on whitened residuals: what an effect would explain beyond the parameters fitted."""
+"""Score tests on whitened residuals: χ² that an effect would explain beyond the fitted model."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ class Score:
     statistic    χ² that the effect would explain
     amplitude    (dof,) expected coefficients of the sensitivities
     std          (dof,) their standard deviations, the other amplitudes free
-    shape        which of the shapes offered that is
-    others       further shapes and their coefficients, by falling statistic, none nearly the same
-                 as one before
+    shape        index of the shape with that statistic
+    others       further distinct shapes and their coefficients, by falling statistic
     p_value      of the largest statistic over all shapes, under noise alone
     """
 
@@ -52,23 +51,23 @@ def score_test(nuisance: Projection, sensitivity: FloatArray, *, one_sided: bool
                  statistic is a half-and-half mixture of 0 and χ²(1) (Self and Liang 1987)
     """
     shapes, dof, _ = sensitivity.shape
-    left = nuisance.remove(sensitivity)
+    orthogonal = nuisance.remove(sensitivity)
     raw = np.linalg.norm(sensitivity, axis=2)
-    norm = np.linalg.norm(left, axis=2)
-    tried: list[_ShapeScore] = []
+    norm = np.linalg.norm(orthogonal, axis=2)
+    scores: list[_ShapeScore] = []
     usable = norm > 1e-6 * np.maximum(raw, 1e-300)
     for shape in np.flatnonzero(usable.any(axis=1)):
-        rows = left[shape]
+        rows = orthogonal[shape]
         amplitude = np.linalg.lstsq(rows.T, nuisance.residual, rcond=1e-8)[0]
         statistic = float(amplitude @ (rows @ nuisance.residual))
         signed = -statistic if one_sided and amplitude[0] < 0.0 else statistic
-        tried.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
-    if not tried:
+        scores.append(_ShapeScore(signed, int(shape), amplitude, amplitude @ rows))
+    if not scores:
         return Score(0.0, np.zeros(dof), np.full(dof, np.inf), 0, 1.0)
-    tried.sort(key=lambda t: -t.signed)
-    best = tried[0]
+    scores.sort(key=lambda t: -t.signed)
+    best = scores[0]
     if dof == 1:
-        unit = left[usable[:, 0], 0] / norm[usable[:, 0]]
+        unit = orthogonal[usable[:, 0], 0] / norm[usable[:, 0]]
         z = float(np.sign(best.signed) * np.sqrt(abs(best.signed)))
         p_value = _p_of_maximum(z, unit @ unit.T, one_sided)
     else:
@@ -76,10 +75,10 @@ def score_test(nuisance: Projection, sensitivity: FloatArray, *, one_sided: bool
     return Score(
         statistic=max(best.signed, 0.0),
         amplitude=best.amplitude,
-        std=np.sqrt(np.diag(np.linalg.pinv(left[best.shape] @ left[best.shape].T))),
+        std=np.sqrt(np.diag(np.linalg.pinv(orthogonal[best.shape] @ orthogonal[best.shape].T))),
         shape=best.shape,
         p_value=p_value,
-        others=tuple((t.shape, t.amplitude) for t in _distinct(tried)[1:]),
+        others=tuple((t.shape, t.amplitude) for t in _distinct(scores)[1:]),
     )
 
 
@@ -91,19 +90,19 @@ class _ShapeScore:
     explained: FloatArray
 
 
-def _distinct(tried: list[_ShapeScore]) -> list[_ShapeScore]:
-    """The best shapes of which none explains nearly what a better one does."""
-    kept: list[_ShapeScore] = []
+def _distinct(scores: list[_ShapeScore]) -> list[_ShapeScore]:
+    """The best shapes, without those that explain nearly the same as a better one."""
+    distinct: list[_ShapeScore] = []
     units: list[FloatArray] = []
-    for one in tried:
-        size = float(np.linalg.norm(one.explained))
-        if len(kept) == MOST_SHAPES or one.signed <= 0.0 or size == 0.0:
+    for score in scores:
+        size = float(np.linalg.norm(score.explained))
+        if len(distinct) == MOST_SHAPES or score.signed <= 0.0 or size == 0.0:
             break
-        unit = one.explained / size
+        unit = score.explained / size
         if all(abs(float(unit @ u)) < SAME_SHAPE for u in units):
-            kept.append(one)
+            distinct.append(score)
             units.append(unit)
-    return kept or tried[:1]
+    return distinct or scores[:1]
 
 
 def _p_of_maximum(z: float, correlation: FloatArray, one_sided: bool) -> float:

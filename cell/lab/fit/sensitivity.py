@@ -18,9 +18,9 @@ from cell.lab.fit.projection import Projection, nuisance_of
 PERTURBATION = 0.05
 
 
-#: A perturbation is too large for a slope if a test would see it, beside the parameters, at more
-#: than so many standard deviations: curvature counts there.  In 30 studies that holds for all 79
-#: that moved a marker by more than 300 of the noise's.  It is made smaller, so often at most.
+#: A perturbation is too large for a slope if it is detectable, given the parameters, at more than
+#: this many standard deviations: the response is nonlinear.  In 30 studies that holds for all 79
+#: that moved a marker by more than 300 times the noise.  It is reduced, at most this often.
 MOST_SHOWN, TRIES = 10.0, 6
 
 
@@ -43,32 +43,32 @@ def sensitivities(
 ) -> list[Sensitivity]:
     """Sensitivities of the fit trials to every effect's amplitudes, at every guess of its shape."""
     guesses = [g for effect in effects for g in _guesses(effect)]
-    nuisance, seen = nuisance_of(fit), len(fit.solution.residual)
+    nuisance, measured = nuisance_of(fit), len(fit.solution.residual)
     rows = np.full((len(guesses), len(nuisance.residual)), np.nan)
-    rows[:, seen:] = 0.0  # those of the prior
-    undone = list(range(len(guesses)))
+    rows[:, measured:] = 0.0  # those of the prior
+    pending = list(range(len(guesses)))
     for attempt in range(TRIES):
-        rows[undone, :seen] = changes(
-            prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in undone]
+        rows[pending, :measured] = changes(
+            prepared, fit, [ActiveEffect(guesses[i].effect, guesses[i].values) for i in pending]
         )
-        shares = {i: _share_of_slope(nuisance, rows[i]) for i in undone}
-        undone = [i for i in undone if shares[i] < 1.0]
-        if not undone or attempt == TRIES - 1:
+        shares = {i: _share_of_slope(nuisance, rows[i]) for i in pending}
+        pending = [i for i in pending if shares[i] < 1.0]
+        if not pending or attempt == TRIES - 1:
             break
-        for i in undone:
+        for i in pending:
             guesses[i] = guesses[i].smaller(shares[i])
     rows[~np.all(np.isfinite(rows), axis=1)] = 0.0
     rows /= np.array([g.perturbation for g in guesses])[:, None]
-    found = []
+    result = []
     for effect in effects:
-        mine = [i for i, g in enumerate(guesses) if g.effect is effect]
-        shapes = len({guesses[i].shape for i in mine})
-        grouped = rows[mine].reshape(shapes, -1, rows.shape[1])
+        own = [i for i, g in enumerate(guesses) if g.effect is effect]
+        shapes = len({guesses[i].shape for i in own})
+        grouped = rows[own].reshape(shapes, -1, rows.shape[1])
         values = tuple(
-            np.array(guesses[mine[shape * grouped.shape[1]]].values) for shape in range(shapes)
+            np.array(guesses[own[shape * grouped.shape[1]]].values) for shape in range(shapes)
         )
-        found.append(Sensitivity(effect, values, grouped))
-    return found
+        result.append(Sensitivity(effect, values, grouped))
+    return result
 
 
 def one_sided(effect: type[Effect]) -> bool:
@@ -88,7 +88,7 @@ class _Guess:
     perturbation: float
 
     def smaller(self, share: float) -> _Guess:
-        """With a share of the perturbation, for a cable more sensitive than a typical one."""
+        """The guess with a share of the perturbation, for a very sensitive cable."""
         default = self.effect.parameters[self.which].default
         smaller = share * self.perturbation
         values = (*self.values[: self.which], default + smaller, *self.values[self.which + 1 :])
@@ -96,7 +96,7 @@ class _Guess:
 
 
 def _share_of_slope(nuisance: Projection, row: FloatArray) -> float:
-    """Factor by which a perturbation is to be made smaller for a slope; 1 = it is small enough.
+    """Factor by which a perturbation must be reduced for a slope; 1 = it is small enough.
 
     row  (values,) its whitened change, the prior's rows included; not finite where it cannot be
          simulated
@@ -133,7 +133,7 @@ def _guesses(effect: type[Effect]) -> list[_Guess]:
 
 
 def _shapes(effect: type[Effect]) -> list[tuple[float, ...]]:
-    """Parameters of every shape that is looked at, amplitudes off."""
+    """Parameters of every shape to be tested, amplitudes zero."""
     choices = [p.starts if is_shape(p) else (p.default,) for p in effect.parameters]
     usual = list(itertools.product(*choices))
     scanned = [
@@ -144,13 +144,13 @@ def _shapes(effect: type[Effect]) -> list[tuple[float, ...]]:
     return usual + scanned
 
 
-def chances_of(effect: type[Effect]) -> int:
+def shape_count(effect: type[Effect]) -> int:
     """Number of shapes in the correction for multiple testing: about three per shape parameter."""
     return int(3 ** sum(map(is_shape, effect.parameters)) * len(_shapes(effect)))
 
 
 def shapes_of(effect: type[Effect]) -> int:
-    """Number of shapes that an effect is tried with."""
+    """Number of start shapes of an effect."""
     return int(np.prod([len(p.starts) for p in effect.parameters if is_shape(p)]))
 
 

@@ -15,7 +15,7 @@ from cell.identify.noise import Noise, rms
 LAGS = 10
 #: Equal spans of a trial's time over which a residual is shown.
 TIME_BINS = 24
-#: Wider than the gaps of a lost marker, narrower than the slowest swing.
+#: Most frequencies of a spectrum.
 MAX_FREQUENCIES = 200
 
 
@@ -40,20 +40,20 @@ class PowerSpectrum:
 
 
 def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> PowerSpectrum:
-    """Mean power over all coordinates against that of the noise (Lomb and Scargle: any stamps)."""
+    """Mean power over all coordinates, and the noise's (Lomb and Scargle: any timestamps)."""
     span_s = float(t_s[-1] - t_s[0])
     highest = 0.5 / float(np.median(np.diff(t_s)))
     count = int(min(MAX_FREQUENCIES, max(3, highest * span_s)))
-    frequency = np.arange(1, count) * highest / count  # short of Nyquist, where phase is lost
+    frequency = np.arange(1, count) * highest / count  # below Nyquist, where phase is lost
     series = residual_m.reshape(len(t_s), -1)
-    seen = np.isfinite(series)
+    observed = np.isfinite(series)
     power, used = np.zeros(len(frequency)), 0
-    for frames in np.unique(seen, axis=1).T:
-        alike = series[frames][:, np.all(frames == seen.T, axis=1)]
-        if len(alike) < 4:
+    for frames in np.unique(observed, axis=1).T:
+        group = series[frames][:, np.all(frames == observed.T, axis=1)]
+        if len(group) < 4:
             continue
-        power += lomb_scargle(t_s[frames], alike - alike.mean(axis=0), frequency).sum(axis=1)
-        used += alike.shape[1]
+        power += lomb_scargle(t_s[frames], group - group.mean(axis=0), frequency).sum(axis=1)
+        used += group.shape[1]
     power *= 2.0 * float(np.median(np.diff(t_s))) / max(used, 1)
     frame_s = float(np.median(np.diff(t_s)))
     ar1 = noise.ar1
@@ -66,7 +66,7 @@ def spectrum(t_s: FloatArray, residual_m: FloatArray, noise: Noise) -> PowerSpec
 def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     """(frequencies, series) periodogram of values (times, series) at any times.
 
-    Half the square that a sine of this frequency takes off; scipy's takes half a second to import.
+    Half the square explained by a sine of this frequency; importing scipy's takes half a second.
     source  Scargle 1982, Astrophys. J. 263, 835
     """
     phase = 2.0 * np.pi * frequency_hz[:, None] * t_s
@@ -77,14 +77,14 @@ def lomb_scargle(t_s: FloatArray, values: FloatArray, frequency_hz: FloatArray) 
 
 
 def ljung_box(white: FloatArray) -> float:
-    """p-value that white series (times, series), nan = unseen, are white: Ljung and Box 1978."""
+    """p-value that white series (times, series), nan = missing, are white: Ljung and Box 1978."""
     statistic, dof = 0.0, 0
     for values in white.T:
-        seen = values[np.isfinite(values)]
-        n = len(seen)
+        observed = values[np.isfinite(values)]
+        n = len(observed)
         if n <= 2 * LAGS:
             continue
-        centred = seen - seen.mean()
+        centred = observed - observed.mean()
         power = float(centred @ centred)
         if power <= 0.0:
             continue
@@ -98,7 +98,7 @@ def ljung_box(white: FloatArray) -> float:
 def smoothed(values: FloatArray, window: int) -> FloatArray:
     """Values (times, series) by cubics fitted to windows of an odd number of neighbours.
 
-    At either end by the cubic of the first and last window; scipy's takes half a second to import.
+    At either end by the cubic of the first and last window; importing scipy's takes half a second.
     source  Savitzky & Golay 1964, Anal. Chem. 36, 1627
     """
     half = window // 2
@@ -110,14 +110,14 @@ def smoothed(values: FloatArray, window: int) -> FloatArray:
 
 
 def correlation(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """Correlation of two series, nan = unseen, and its two-sided p-value given autocorrelation.
+    """Correlation of two series, nan = missing, and its two-sided p-value given autocorrelation.
 
     source  Bartlett 1935, J. R. Stat. Soc. 98, 536
     """
-    both = np.isfinite(a) & np.isfinite(b)
-    if not both.any():
+    valid = np.isfinite(a) & np.isfinite(b)
+    if not valid.any():
         return 0.0, 1.0
-    a, b = a[both] - a[both].mean(), b[both] - b[both].mean()
+    a, b = a[valid] - a[valid].mean(), b[valid] - b[valid].mean()
     power = float(np.sqrt((a @ a) * (b @ b)))
     n = len(a)
     if power <= 0.0 or n < 2 * LAGS:
@@ -140,8 +140,8 @@ def overall(parts: Sequence[FloatArray]) -> float:
 
 
 def rms_over(rows: Sequence[Sequence[float] | FloatArray]) -> FloatArray:
-    """(n,) root mean square over rows (rows, n), nan left out; nan where a column has nothing."""
+    """(n,) root mean square over rows (rows, n), nan ignored; nan where a column is empty."""
     square = np.array(rows) ** 2
-    seen = np.isfinite(square)
-    total = np.sum(np.where(seen, square, 0.0), axis=0)
-    return np.asarray(np.sqrt(np.where(seen.any(axis=0), total, np.nan) / seen.sum(axis=0).clip(1)))
+    used = np.isfinite(square)
+    total = np.sum(np.where(used, square, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.where(used.any(axis=0), total, np.nan) / used.sum(axis=0).clip(1)))

@@ -1,4 +1,4 @@
-"""A model fitted to many cables at once: effects shared by all, EI(s), N and viscosity of each."""
+"""A model fitted to many cables at once: shared effects; EI(s), N and viscosity of each cable."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from cell.identify.fit import variance_inflation
 from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import ERRS, PreparedStudy, arcs_are_uncertain, whiteners_of
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain, whiteners_of
 from cell.lab.data.work import Work
 from cell.lab.fit.corrections import lines_of
 from cell.lab.fit.fitting import space_with
 from cell.study.data import Study, Trial
 
-#: What is constant in a marker throughout a cable's pictures: how far along the tip is seen, m.
+#: Standard deviation of a marker's constant error along the cable in all its images, m.
 BIAS_M = 5e-5
-#: Within 0.02 mm of a converged cable, as a bias is; half the cost of the lab's.
+#: Its error of 0.02 mm is of the size of the bias; half the cost of the lab's solver.
 SOLVER = Solver(segments=24, step_s=1.5e-3)
 PASSES = gauss_newton.Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 
 
 def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
-    """A cycle's study made ready, its simulations counted as `work`.  Raises NoiseUnknownError."""
+    """The prepared study of a cycle; simulations count as `work`.  Raises NoiseUnknownError."""
     noise_model = noise_model_of(study)
     noise = replace(noise_model.noise, bias_m=BIAS_M)
     whiteners = whiteners_of(study, noise)
@@ -42,21 +42,21 @@ def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
 
 
 def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
-    """The cables, whose uncertain markers shift along the centreline of a fitted model.
+    """The cables with uncertain marker arc lengths, as shifts along a fitted model's centreline.
 
-    Where that explains them: else the line as measured is nearer to the true one.
-    returns  None if no cable has such markers and moves otherwise yet, or they are not explained
+    returns  None if the model does not explain the cables (the measured line is more accurate then)
+             or if there is no further cable with such markers
     """
-    if fit.rms_m > ERRS * fit.noise_m:
+    if fit.rms_m > ERROR_RATIO * fit.noise_m:
         return None
-    found, changed = [], False
+    cables, changed = [], False
     for i, cable in enumerate(fit.cables):
         if not cable.lines and arcs_are_uncertain(cable.study):
             lines = lines_of(cable, fit.model(i), {})
             whiteners = whiteners_of(cable.study, cable.noise, cable.gauges, lines)
             cable, changed = replace(cable, whiteners=whiteners, lines=lines), True
-        found.append(cable)
-    return found if changed else None
+        cables.append(cable)
+    return cables if changed else None
 
 
 def simulated_s(cable: PreparedStudy) -> float:
@@ -74,8 +74,8 @@ class SharedFit:
     common     (m,) which coordinates of `space` are shared
     q          (cables, own)
     theta      (m,) shared coordinates
-    solution   of all at once: q of every cable, then theta
-    rows       of the solution's residual, of each cable
+    solution   joint: q of every cable, then theta
+    rows       of the solution's residual, per cable
     inflation  variance factor for residuals larger or more autocorrelated than the noise
     """
 
@@ -117,7 +117,7 @@ class SharedFit:
         return q
 
     def model(self, i: int) -> CableModel:
-        """Of a cable."""
+        """The model of one cable."""
         return self.space.model(self.coordinates(i))
 
     def natural(self, theta: FloatArray | None = None) -> FloatArray:
@@ -136,64 +136,62 @@ class SharedFit:
 
     @property
     def end_std_m(self) -> float:
-        """By how much an end may be seen along its cable beside where it is: rms of all, m.
+        """Standard deviation of the observed position of an end along its cable: rms of all, m.
 
-        The marker there may have an uncertain arc length, beside what pictures do.
+        From the bias of images, and an uncertain arc length of the marker there.
         """
         stds = [c.study.arc_length_std_m for c in self.cables]
         squares = [0.0 if s is None else float(s[0]) ** 2 for s in stds]
         return float(np.sqrt(BIAS_M**2 + np.mean(squares)))
 
     @cached_property
-    def end_seen_beyond_m(self) -> FloatArray:
-        """(cables,) how far along it a cable's end is seen from where the fit has it, mean of all
-        its pictures, m.
-        """
-        found = np.empty(len(self.cables))
+    def end_offset_m(self) -> FloatArray:
+        """(cables,) mean offset of a cable's observed end from the fitted one, along it, m."""
+        offsets = np.empty(len(self.cables))
         for i, cable in enumerate(self.cables):
             predicted = cable.predict_all(cable.study.trials, [self.model(i)])
-            away = [
+            along_m = [
                 np.sum((trial.markers.xy_m[:, 0] - points[0, :, 0]) * along_end(trial), axis=1)
                 for trial, points in zip(cable.study.trials, predicted, strict=True)
             ]
-            found[i] = np.nanmean(np.concatenate(away))
-        return found
+            offsets[i] = np.nanmean(np.concatenate(along_m))
+        return offsets
 
     @cached_property
     def _information(self) -> tuple[FloatArray, FloatArray]:
-        """(cables, m, m) what each cable tells of theta, and (cables, m) where it pulls it."""
+        """(cables, m, m) Fisher information of each cable on theta, and (cables, m) its score."""
         m, jacobian = len(self.theta), self.solution.jacobian
         precision = self.space.precision[: self.own, : self.own]
-        tells, pulls = np.zeros((len(self.cables), m, m)), np.zeros((len(self.cables), m))
+        information, scores = np.zeros((len(self.cables), m, m)), np.zeros((len(self.cables), m))
         for i, rows in enumerate(self.rows):
             a = jacobian[rows, i * self.own : (i + 1) * self.own]
             b = jacobian[rows, len(self.cables) * self.own :]
             r = self.solution.residual[rows]
             inner = a.T @ a + precision
-            away = self.q[i] - self.space.mean[: self.own]
-            tells[i] = b.T @ b - b.T @ a @ np.linalg.solve(inner, a.T @ b)
-            pulls[i] = -(b.T @ r - b.T @ a @ np.linalg.solve(inner, a.T @ r + precision @ away))
-        return tells, pulls
+            offset = self.q[i] - self.space.mean[: self.own]
+            information[i] = b.T @ b - b.T @ a @ np.linalg.solve(inner, a.T @ b)
+            scores[i] = -(b.T @ r - b.T @ a @ np.linalg.solve(inner, a.T @ r + precision @ offset))
+        return information, scores
 
     @property
     def covariance(self) -> FloatArray:
         """(m, m) of theta."""
-        tells = self._information[0].sum(axis=0) + self._weak
-        return np.asarray(self.inflation * np.linalg.inv(tells))
+        information = self._information[0].sum(axis=0) + self._weak
+        return np.asarray(self.inflation * np.linalg.inv(information))
 
     @property
     def by_cable(self) -> tuple[FloatArray, FloatArray]:
-        """(cables, m) theta as each cable alone would have it, (cables, m) standard deviations."""
-        tells, pulls = self._information
-        alone = [np.linalg.inv(t + self._weak) for t in tells]
-        values = np.array([self.theta + v @ p for v, p in zip(alone, pulls, strict=True)])
-        return values, np.sqrt(self.inflation * np.array([np.diag(v) for v in alone]))
+        """(cables, m) theta estimated from each cable alone, (cables, m) standard deviations."""
+        information, scores = self._information
+        covariances = [np.linalg.inv(t + self._weak) for t in information]
+        values = np.array([self.theta + v @ p for v, p in zip(covariances, scores, strict=True)])
+        return values, np.sqrt(self.inflation * np.array([np.diag(v) for v in covariances]))
 
     def without(self, i: int) -> FloatArray:
         """(m,) theta from all cables but one, to first order, within its bounds."""
-        tells, pulls = self._information
-        rest = tells.sum(axis=0) - tells[i] + self._weak
-        theta = self.theta - np.linalg.solve(rest, pulls[i])
+        information, scores = self._information
+        remaining = information.sum(axis=0) - information[i] + self._weak
+        theta = self.theta - np.linalg.solve(remaining, scores[i])
         return np.clip(theta, self.space.low[self.common], self.space.high[self.common])
 
     @property
@@ -211,8 +209,8 @@ def along_end(trial: Trial) -> FloatArray:
 class Spread:
     """Spread of an amplitude between cables.
 
-    tau      standard deviation between cables beyond what each is uncertain by
-    q        Cochran's Q, of so many degrees of freedom; its p-value
+    tau      standard deviation between cables, in excess of their uncertainties
+    q        Cochran's Q with its degrees of freedom and p-value
     """
 
     tau: float
@@ -222,7 +220,7 @@ class Spread:
 
     @staticmethod
     def of(values: FloatArray, std: FloatArray) -> Spread:
-        """From each cable's own value.
+        """The spread of the cables' own values.
 
         source  restricted maximum likelihood by fixed-point iteration: Viechtbauer 2005, J. Educ.
                 Behav. Stat. 30, 261; Q: Cochran 1954, Biometrics 10, 101
@@ -297,9 +295,9 @@ def _joint_problem(
     start: FloatArray,
     rows: Sequence[slice],
 ) -> gauss_newton.LeastSquaresProblem:
-    """What a fit to all cables minimises: over each cable's own coordinates, then the common ones.
+    """Least-squares problem of all cables: each cable's own coordinates, then the common ones.
 
-    start  coordinates of what is not fitted
+    start  coordinates of parameters that are not fitted
     """
     n, m = len(cables), len(common)
 
@@ -307,8 +305,8 @@ def _joint_problem(
         out = np.empty((len(lanes), rows[-1].stop))
         for i, (cable, row) in enumerate(zip(cables, rows, strict=True)):
             mine = np.hstack([lanes[:, i * own : (i + 1) * own], lanes[:, n * own :]])
-            moved = np.any(mine != mine[0], axis=1)
-            needed = np.concatenate([[0], np.flatnonzero(moved)])
+            changed = np.any(mine != mine[0], axis=1)
+            needed = np.concatenate([[0], np.flatnonzero(changed)])
             full = np.tile(start, (len(needed), 1))
             full[:, :own] = mine[needed, :own]
             full[:, common] = mine[needed, own:]

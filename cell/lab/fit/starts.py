@@ -13,11 +13,11 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_trials, residuals
 
-#: Uniform cables tried for a cold start, over this range about the prior's EI, in logarithm.
+#: Number of uniform cables for a cold start, and their range of ln EI about the prior's.
 COLD_STARTS, COLD_RANGE = 48, 3.0
-#: Typical sizes of an effect, at most.
+#: Most typical sizes of an effect.
 MOST_GUESSES = 9
-#: Amplitudes tried, as shares of those that the screen expects.
+#: Scale factors of the amplitudes that the screen predicts.
 SHARES = (2.0, 0.5, 0.25, 0.1)
 
 
@@ -29,8 +29,8 @@ def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
     q = np.vstack([space.mean, *(space.start(float(v)) for v in levels)])
     white = residuals(prepared, space, trials, q)
     square = np.where(np.isfinite(white).all(axis=1), np.sum(white**2, axis=1), np.inf)
-    away = q - space.mean
-    square += np.einsum("ij,jk,ik->i", away, space.precision, away)
+    offset = q - space.mean
+    square += np.einsum("ij,jk,ik->i", offset, space.precision, offset)
     return np.asarray(q[int(np.argmin(square))])
 
 

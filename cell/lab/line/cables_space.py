@@ -17,7 +17,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import SIGNIFICANCE
-from cell.lab.fit.fitting import Fit, taken_from
+from cell.lab.fit.fitting import Fit, start_from
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import (
     PASSES,
@@ -45,16 +45,16 @@ from cell.lab.search.fitted_model import FittedModel
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import holm_among
 
-#: Cables that the library is tried on, at most.
+#: Number of cables that effects are first fitted to.
 TRIED_ON = 4
-#: Starts of a fit are compared on so many cables, with so many passes.
+#: Number of cables, and fit options, to compare starts of a fit.
 START_ON, FIRST_PASSES = 1, replace(PASSES, tolerance=1.0, max_iterations=6)
-#: Of an effect with more shapes than this a refit begins with several, the likeliest of the cable
-#: that shows it best: the middle of what cables show is none of them.
+#: A refit of an effect with more shapes than this starts from several places, the likeliest ones of
+#: the cable with the largest score: an average of the cables' places fits none of them.
 SEVERAL, PLACES = 12, 3
-#: Share of what the slope says that a refit begins with.
+#: Share of the amplitude predicted by the slope at which a refit starts.
 A_LITTLE = 0.05
-#: Two cables' own solutions are one if they differ by fewer standard deviations in every parameter.
+#: Two cables' own solutions are equal if all parameters are within this many standard deviations.
 ALIKE = 3.0
 
 
@@ -70,29 +70,29 @@ def distinct(
 ) -> list[FittedModel]:
     """Solutions of single cables, best objective first, without those with equal effect parameters.
 
-    A candidate's covariance is widened by what it leaves.
+    A candidate's covariance is widened by its residual.
     """
-    kept: list[tuple[FittedModel, FloatArray, FloatArray]] = []
+    result: list[tuple[FittedModel, FloatArray, FloatArray]] = []
     for candidate in sorted(candidates, key=lambda c: c.fit.objective):
         fit = candidate.fit
         names = [n for n in fit.space.names if n.startswith(tuple(f"{e.name}." for e in effects))]
         index = [fit.space.names.index(n) for n in names]
         q, variance = fit.q[index], fit.widening * np.diag(fit.covariance)[index]
-        apart = [(q - a) ** 2 > ALIKE**2 * (variance + b) for _, a, b in kept]
-        if all(np.any(far) for far in apart):
-            kept.append((candidate, q, variance))
-    return [candidate for candidate, *_ in kept]
+        differences = [(q - a) ** 2 > ALIKE**2 * (variance + b) for _, a, b in result]
+        if all(np.any(far) for far in differences):
+            result.append((candidate, q, variance))
+    return [candidate for candidate, *_ in result]
 
 
-#: Effects of the screen that are refitted, besides those that are not smooth.
+#: Number of effects of the screen that are refitted, in addition to the non-smooth ones.
 BEST = 4
-#: A fit of which χ² is above the best by this factor after so many passes is given up; an effect of
-#: which each cable's own fit leaves so much is not fitted to all at once.
+#: A fit whose χ² exceeds the best by this factor after this many iterations is abandoned; an effect
+#: whose own fits to each cable leave that much is not fitted jointly.
 FAR_ABOVE, ENOUGH_PASSES = 4.0, 4
-#: A fit to all cables goes on while its linear model promises that χ² falls by this share, and it
-#: does: where it is left, each cable alone would have the effects otherwise than all together.
+#: A joint fit is continued while its linear model predicts a fall of χ² by this share, and that is
+#: reached: an unfinished fit would exaggerate the differences between cables.
 UNFINISHED = 0.1
-#: Shares of the limit of work after which no more own solutions are looked for, and so on.
+#: Shares of the budget after which no own solution, refit, continued fit or second effect begins.
 OWN, REFITS, ENDS, SECOND = 0.4, 0.5, 0.6, 0.6
 
 Progress = Callable[[str], None]
@@ -103,11 +103,11 @@ class CablesSpace:
     """Model space of learning: effects fitted to cables in addition to those of their model.
 
     cycles     the recorded cycles of the cables
-    prepared   the same, made ready; effects are first fitted to the first `TRIED_ON`
+    prepared   the same, prepared; effects are first fitted to the first `TRIED_ON`
     base       parameters of one cable without the shared effects
-    plausible  (cables, own) where refits begin: each cable as its hold shows it, frames weighed by
-               what the model misses.  A fit that takes its misfit for information bends EI(s) until
-               it imitates an effect, to where some of it is no longer seen: no way leads back.
+    plausible  (cables, own) starts of refits: each cable identified from its hold, with the model's
+               error as noise.  A fit that treats its misfit as information distorts EI(s) to
+               imitate an effect, and refits from there do not recover.
     others     effects to choose from
     """
 
@@ -127,7 +127,7 @@ class CablesSpace:
         return self.prepared[:TRIED_ON]
 
     def fit_alone(self) -> Sequence[SharedFit]:
-        """Fit the present model to each cable alone; the second time the fits are known."""
+        """Fits of the present model to each cable alone; cached."""
         if not self._alone:
             self.progress("fitting the present model")
             each = enumerate(self.prepared)
@@ -137,7 +137,7 @@ class CablesSpace:
         return self._alone
 
     def fit_without_effects(self) -> LearningResult:
-        """Fit the present model to all cables; the second time the fit is known."""
+        """Result without effects: the present model fitted to all cables; cached."""
         if not self._all:
             q = np.vstack([alone.q for alone in self.fit_alone()])
             self._all.append(fit_shared(self.prepared, self.base, q))
@@ -147,43 +147,43 @@ class CablesSpace:
         """The effects of a result and one more, fitted to the few cables, the best first."""
         best = result.best
         if best is None:
-            return self._with_one_more(self.fit_alone()[:TRIED_ON], self.others, None)
+            return self._one_effect_more(self.fit_alone()[:TRIED_ON], self.others, None)
         if not self.budget.allows(SECOND, f"effects with {best.effect.name}"):
             return []
         self.progress(f"looking for what {best.effect.name} leaves")
-        rest = [e for e in self.others if e not in best.effects]
-        return self._with_one_more(self._each_with(best), rest, result.ranking[0])
+        remaining = [e for e in self.others if e not in best.effects]
+        return self._one_effect_more(self._each_with(best), remaining, result.ranking[0])
 
     def _each_with(self, best: EffectFit) -> list[SharedFit]:
-        """The few cables, each fitted alone with effects that were found."""
+        """The few cables, each fitted alone with the effects of `best`."""
         fit = best.fit
         return [
             fit_shared([p], fit.space, fit.coordinates(i)[None]) for i, p in enumerate(self.few)
         ]
 
-    def kept(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
-        """The result with the best of these, fitted to all cables; none if that is chance.
+    def select(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
+        """The result with the best of these, fitted to all cables; empty if not significant.
 
-        One with which not all of them can be simulated is not the cause.
-        Where the last effect explains as much without the one before it, it is the only one.
+        Effects with which a cable cannot be simulated are excluded.  If the last effect explains as
+        much without the previous one, that is dropped.
         """
         if not tried or tried[0].p_value >= SIGNIFICANCE:
             return []
         try:
-            found = self.fitted_to_all(result, tried)
+            selected = self.fitted_to_all(result, tried)
         except UNSIMULATED:
             self.progress(f"not all cables can be simulated with {tried[0].name}")
-            return self.kept(result, tried[1:])
+            return self.select(result, tried[1:])
         single = None if result.best is None else self.last_alone(tried[0])
         if single is not None:
-            with suppress(*UNSIMULATED):  # not all cables can be with it alone
-                # what is as good as it with the first is as good without
+            with suppress(*UNSIMULATED):  # a cable may not be simulable with it alone
+                # ties with the first effect also hold without it
                 alone = self.fitted_to_all(self.fit_without_effects(), [single])
-                found = replace(alone, tied=found.tied)
-        return [found]
+                selected = replace(alone, tied=selected.tied)
+        return [selected]
 
     def along_its_lines(self, result: LearningResult) -> LearningResult:
-        """The result of one effect, fitted again where markers move along the line of its model."""
+        """The result of one effect, refitted with markers shifted along its model's centreline."""
         if result.best is None or result.simpler is not None:
             return result
         if (moving := along_lines(result.best.fit)) is None:
@@ -191,10 +191,10 @@ class CablesSpace:
         space = replace(self, prepared=tuple(moving))
         tried = [result.best, *result.ranking[1:]]
         try:
-            again = space.fitted_to_all(space.fit_without_effects(), tried)
+            refitted = space.fitted_to_all(space.fit_without_effects(), tried)
         except UNSIMULATED:
             return result
-        return replace(again, tied=result.tied, ranking=result.ranking)
+        return replace(refitted, tied=result.tied, ranking=result.ranking)
 
     def fitted_to_all(self, before: LearningResult, tried: Sequence[EffectFit]) -> LearningResult:
         """The result with the best of these, fitted to all cables.  Raises UnsimulatedError."""
@@ -221,15 +221,15 @@ class CablesSpace:
     def on_all(self, simpler: SharedFit, best: EffectFit) -> EffectFit:
         """Effects refitted to all cables, starting from their fit to a few.
 
-        The other cables begin as their holds show them or, where one of them cannot be simulated so
-        with the effects, as the simpler model has fitted them.
+        The other cables start from their holds' identification or, if one cannot be simulated there
+        with the effects, from their fit of the simpler model.
 
-        raises  UnsimulatedError: nor can they be simulated then
+        raises  UnsimulatedError: a cable cannot be simulated from there either
         """
         prepared, budget = self.prepared, self.budget
         each_s = sum(map(simulated_s, prepared)) * (1 + best.fit.own + len(best.names))
-        what = f"the fit of {best.name} to {counted(len(prepared), 'cable')}"
-        options = budget.passes(each_s, ALL_PASSES, what)
+        text = f"the fit of {best.name} to {counted(len(prepared), 'cable')}"
+        options = budget.passes(each_s, ALL_PASSES, text)
 
         def fitted(begin: FloatArray) -> SharedFit:
             q = begin.copy()
@@ -240,13 +240,13 @@ class CablesSpace:
             fit = fitted(self.plausible)
         except UNSIMULATED:
             fit = fitted(simpler.q[:, : self.plausible.shape[1]])
-        while fit.solution.promised > UNFINISHED * fit.chi2:  # as in a long curved valley
+        while fit.solution.promised > UNFINISHED * fit.chi2:  # a long curved valley
             if not budget.allows(ENDS, f"the end of the fit of {best.name} to all cables"):
                 break
-            more = self._fit(prepared, fit.q, best.effects, fit.shared_values, options)
-            if more.chi2 > (1.0 - UNFINISHED) * fit.chi2:
+            continued = self._fit(prepared, fit.q, best.effects, fit.shared_values, options)
+            if continued.chi2 > (1.0 - UNFINISHED) * fit.chi2:
                 break
-            fit = more
+            fit = continued
         return replace(best, fit=fit, fall=float((simpler.chi2 - fit.chi2) / fit.inflation))
 
     def _fit(
@@ -259,16 +259,16 @@ class CablesSpace:
     ) -> SharedFit:
         return fit_shared(prepared, self.base, q, effects, values, options=options)
 
-    def _with_one_more(
+    def _one_effect_more(
         self,
         alone: Sequence[SharedFit],
         others: Sequence[type[Effect]],
         simpler: EffectFit | None,
     ) -> list[EffectFit]:
-        """The likeliest of the other effects, fitted to the few cables at once, the best first.
+        """The likeliest of the other effects, fitted to the few cables jointly, the best first.
 
         alone    the simpler model fitted to each cable alone, its effects among the own parameters
-        simpler  effects before it, fitted to these cables; None = none
+        simpler  previous effects, fitted to these cables; None = none
         """
         self.progress("screening the library")
         screens = [screen(p, as_fit(a), others) for p, a in zip(self.few, alone, strict=True)]
@@ -283,7 +283,7 @@ class CablesSpace:
             if fits and not self.budget.allows(REFITS, f"a fit with {effect.name}"):
                 continue
             self.progress(f"refitting with {effect.name}")
-            of_it = [s for found in screens for s in found if s.effect is effect]
+            of_it = [s for screened in screens for s in screened if s.effect is effect]
             fit = self._refitted(simpler, effect, of_it, [o.get(effect.name) for o in own])
             if fit is not None:
                 fits.append((effect, fit))
@@ -303,7 +303,7 @@ class CablesSpace:
         before: float,
         simpler: EffectFit | None,
     ) -> list[EffectFit]:
-        """Fits by what they explain of χ² before, with the chance of it."""
+        """Fits by their fall of χ², the largest first, with its p-value."""
         earlier = () if simpler is None else simpler.effects
         fewer = 0 if simpler is None else len(simpler.fit.theta)
         inflation = min(fits, key=lambda f: f[1].chi2)[1].inflation
@@ -325,17 +325,17 @@ class CablesSpace:
         effects: Sequence[type[Effect]],
         simpler: EffectFit | None,
     ) -> list[dict[str, FittedModel]]:
-        """Per cable what a diagnosis of it alone would find with each effect of several shapes.
+        """Per cable the fits of a single-cable search with each effect of several shapes.
 
-        Where an effect acts is found from far by that search only; from a place that one cable
-        shows well a fit to all of them arrives.
+        Only that search finds the place of a distant effect; a joint fit converges from the place
+        of one cable that determines it well.
         """
         shaped = [e for e in effects if shapes_of(e) > 1]
-        found: list[dict[str, FittedModel]] = []
+        solutions: list[dict[str, FittedModel]] = []
         for number, (prepared, fit) in enumerate(zip(self.few, alone, strict=True)):
-            what = f"own solutions of {prepared.study.name}"
-            if not shaped or (number and not self.budget.allows(OWN, what)):
-                found.append({})
+            text = f"own solutions of {prepared.study.name}"
+            if not shaped or (number and not self.budget.allows(OWN, text)):
+                solutions.append({})
                 continue
             self.progress(f"refitting {prepared.study.name} alone")
             begin = None if simpler is None else fit.q[0]
@@ -343,23 +343,23 @@ class CablesSpace:
             fits = FitCache.of(SearchSetup(prepared, fit.space, library, start_q=begin))
             try:
                 candidates = fits.fit_extended(fits.base, shaped)
-            except UNSIMULATED:  # this cable cannot be simulated so
+            except UNSIMULATED:  # not simulable with these
                 candidates = []
-            found.append({c.effects[-1].name: c for c in candidates})
-        return found
+            solutions.append({c.effects[-1].name: c for c in candidates})
+        return solutions
 
     def _cannot_win(
         self, own: Sequence[dict[str, FittedModel]], effect: type[Effect], best_chi2: float
     ) -> bool:
-        """Whether even its own fit to each cable leaves far more than another does of all."""
+        """Whether even its fits to single cables leave far more than another's joint fit."""
         fits = [o[effect.name].fit for o in own if effect.name in o]
         return len(fits) == len(own) and sum(f.objective for f in fits) > FAR_ABOVE * best_chi2
 
     def last_alone(self, pair: EffectFit) -> EffectFit | None:
         """The last of two effects without the first, if it explains as much as both.
 
-        The first was the best that there was of what began as small; beside it the second has come
-        to where no way led from none of it.
+        The first was the best of the effects that a fit from zero could reach; given it, the second
+        may have reached a minimum that was not reachable from zero.
         """
         self.progress(f"trying {pair.effect.name} without {pair.effects[0].name}")
         values = pair.fit.shared_values[len(pair.effects[0].parameters) :]
@@ -369,23 +369,23 @@ class CablesSpace:
             return None
         fall = (sum(a.chi2 for a in self.fit_alone()[:TRIED_ON]) - fit.chi2) / fit.inflation
         p_value = min(1.0, len(self.others) * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
-        more = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
-        as_much = more < max(TIE, SIMULATED**2 * fall)
-        return EffectFit((pair.effect,), fit, float(fall), p_value) if as_much else None
+        excess = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
+        tied = excess < max(TIE, SIMULATED**2 * fall)
+        return EffectFit((pair.effect,), fit, float(fall), p_value) if tied else None
 
     def _converged(self, fit: SharedFit, best: SharedFit) -> SharedFit:
-        """The fit converged: what is compared must not differ by where it was left.
+        """The fit continued to convergence, so that fits are comparable.
 
-        best  of another effect: what explains as much may do so with the same cables
+        best  fit of another effect: its cables are a further start
         """
-        effects, found = fit.space.effects[len(self.base.effects) :], [fit]
+        effects, fits = fit.space.effects[len(self.base.effects) :], [fit]
         for q in [] if fit.solution.converged else [fit.q, *([] if fit is best else [best.q])]:
             if not self.budget.allows(ENDS, f"the end of the fit of {effects[-1].name}"):
                 break
-            with suppress(*UNSIMULATED):  # the other's cables with what was found of this effect
-                values = found[-1].shared_values
-                found.append(self._fit(self.few, q, effects, values, ALL_PASSES))
-        return min(found, key=lambda f: f.chi2)
+            with suppress(*UNSIMULATED):  # the other's cables with this effect's values
+                values = fits[-1].shared_values
+                fits.append(self._fit(self.few, q, effects, values, ALL_PASSES))
+        return min(fits, key=lambda f: f.chi2)
 
     def _refitted(
         self,
@@ -394,27 +394,27 @@ class CablesSpace:
         screened: Sequence[ScreenedEffect],
         own: Sequence[FittedModel | None],
     ) -> SharedFit | None:
-        """The effect fitted to all cables: from what all show of it, and from own solutions."""
+        """The best joint fit of an effect: from all cables' screens, and from own solutions."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
-        found: list[SharedFit] = []
+        fits: list[SharedFit] = []
 
         def fitted(q: FloatArray, values: FloatArray) -> None:
-            least = min((f.chi2 for f in found), default=np.inf)
+            least = min((f.chi2 for f in fits), default=np.inf)
             options = replace(PASSES, above=(FAR_ABOVE * least, ENOUGH_PASSES))
             with suppress(*UNSIMULATED):
-                found.append(self._fit(self.few, q, effects, values, options))
+                fits.append(self._fit(self.few, q, effects, values, options))
 
         solved = [c for c in own if c is not None]
         begin = self.plausible[:TRIED_ON].copy()
         for i, candidate in enumerate(own):
             if candidate is not None:
-                begin[i] = taken_from(candidate.fit, self.base)
+                begin[i] = start_from(candidate.fit, self.base)
         for candidate in distinct(solved, effects):
-            if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
+            if not fits or self.budget.allows(REFITS, f"other starts of {effect.name}"):
                 fitted(begin, values_of(candidate.fit, effects))
-        if not found or self.budget.allows(REFITS, f"other starts of {effect.name}"):
+        if not fits or self.budget.allows(REFITS, f"other starts of {effect.name}"):
             fitted(*self._common_start(simpler, effect, screened))
-        return min(found, key=lambda f: f.chi2, default=None)
+        return min(fits, key=lambda f: f.chi2, default=None)
 
     def _common_start(
         self,
@@ -424,30 +424,30 @@ class CablesSpace:
     ) -> tuple[FloatArray, FloatArray]:
         """Start of a joint fit: the cables' coordinates and the effects' values, by few cables."""
         effects = (effect,) if simpler is None else (*simpler.effects, effect)
-        known = np.zeros(0) if simpler is None else simpler.fit.shared_values
-        # The slope says how much of it there is, but the cables were fitted without it: from a
-        # little of it all parameters move together.
-        off = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
+        earlier = np.zeros(0) if simpler is None else simpler.fit.shared_values
+        # The slope predicts its size, but the cables were fitted without it: from a small size all
+        # parameters converge jointly.
+        zero = np.array([p.default if p.amplitude else np.nan for p in effect.parameters])
         most = [np.median(np.array([s.starts[0] for s in screened]), axis=0)]
         if shapes_of(effect) > SEVERAL:
             clearest = max(screened, key=lambda s: s.score.statistic)
             most = [*clearest.starts[:PLACES]]
-        places = [np.where(np.isnan(off), m, off + A_LITTLE * (m - off)) for m in most]
+        places = [np.where(np.isnan(zero), m, zero + A_LITTLE * (m - zero)) for m in most]
         if not effect.smooth:
             places += [
                 np.array([p.starts[min(k, len(p.starts) - 1)] for p in effect.parameters])
                 for k in range(3)
             ]
-        starts = [np.concatenate([known, values]) for values in places]
+        starts = [np.concatenate([earlier, values]) for values in places]
         begin, values = self.plausible[:TRIED_ON].copy(), starts[0]
-        few = slice(0, START_ON)
-        found: list[SharedFit] = []
-        for one in starts if len(starts) > 1 else ():
+        first = slice(0, START_ON)
+        fits: list[SharedFit] = []
+        for start in starts if len(starts) > 1 else ():
             with suppress(*UNSIMULATED):
-                found.append(self._fit(self.few[few], begin[few], effects, one, FIRST_PASSES))
-        if found:
-            best = min(found, key=lambda f: f.chi2)
-            begin[few], values = best.q, best.shared_values
+                fits.append(self._fit(self.few[first], begin[first], effects, start, FIRST_PASSES))
+        if fits:
+            best = min(fits, key=lambda f: f.chi2)
+            begin[first], values = best.q, best.shared_values
         return begin, values
 
 

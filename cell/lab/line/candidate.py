@@ -34,7 +34,7 @@ from cell.settings.translate import cable_of, identification_of, model_hash
 
 @dataclass(frozen=True)
 class Judgement:
-    """Results of a candidate's gates, and the forecasts that they are computed from."""
+    """Results of a candidate's gates, and the forecasts behind them."""
 
     gates: tuple[CheckOutcome[LineEvidence], ...] = ()
     paired: tuple[ForecastPair, ...] = ()
@@ -51,32 +51,32 @@ class Judgement:
 
 
 def judge(
-    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+    result: LearningResult, settings: Settings, existing: Sequence[ForecastPair] = ()
 ) -> Judgement:
     """The gates of a candidate, evaluated for the line of these settings.
 
-    known   forecasts of the present model that were made already; of any candidate
-    raises  as `identification_of`
+    existing  forecasts, whose part by the present model is reused
+    raises    as `identification_of`
     """
     if result.best is None:
         return Judgement()
     destination = Destination(*settings.destination.x_m, *settings.destination.y_m)
     cable, options = cable_of(settings), identification_of(settings)
-    paired = forecasts(result, cable, options, destination, known)
+    paired = forecasts(result, cable, options, destination, existing)
     evidence = LineEvidence(result, paired, destination)
     return Judgement(tuple(gate_outcomes(evidence)), tuple(paired))
 
 
 def best_judged(
-    result: LearningResult, settings: Settings, known: Sequence[ForecastPair] = ()
+    result: LearningResult, settings: Settings, existing: Sequence[ForecastPair] = ()
 ) -> tuple[LearningResult, Judgement]:
     """The result, or without its last effect if that does not improve forecasts; its gates.
 
-    The last effect helps if with it unseen cables are forecast better than without, by the gate
-    that a first effect must pass.
-    known   as in `judge`
+    The last effect helps if unseen cables are forecast better with it than without, by the same
+    gate as for a first effect.
+    existing  as in `judge`
     """
-    judgement = judge(result, settings, known)
+    judgement = judge(result, settings, existing)
     if result.simpler is None:
         return result, judgement
     simpler = replace(
@@ -114,21 +114,21 @@ def write_candidate(
 ) -> None:
     """Write the learned effects and the cycles behind them; `read_candidate` reads the file.
 
-    present  the model given which it was learned
-    lines    on which the cycles were recorded, as `lines_of` has them
-    product  whose model it is; None = that of settings without products
+    present  the model that the effects were learned in addition to
+    lines    on which the cycles were recorded, from `lines_of`
+    product  of the model; None = settings without products
     """
-    found = learning_outcomes(result)
+    outcomes = learning_outcomes(result)
     content = {
         "format": FORMAT,
         **({} if product is None else {"product": product}),
         "beside": model_hash(present),
         "model": section(result, present).model_dump(mode="json", exclude_defaults=True),
         "tied": list(result.tied),
-        "verdict": learning_verdict(result, found),
-        "checks": [plain(vars(answer.result)) for answer in found],
+        "verdict": learning_verdict(result, outcomes),
+        "checks": [plain(vars(outcome.result)) for outcome in outcomes],
         "gates": [
-            {"gate": g.name, "passed": g.passed, "found": g.found, **plain(vars(g.result))}
+            {"gate": g.name, "passed": g.passed, "found": g.text, **plain(vars(g.result))}
             for g in judgement.gates
         ],
         "forecasts": [pair.to_json() for pair in judgement.paired],
@@ -147,29 +147,29 @@ def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
     they depend on each other.
     """
     assert result.best is not None
-    tried, fit = result.best, result.best.fit
+    best, fit = result.best, result.best.fit
     covariance = fit.covariance + np.diag(result.between)
     natural = fit.natural()[fit.common]
     content = present.model_dump(mode="json")
-    for effect in tried.effects:
-        known = [n.partition(".")[2] for n in tried.names if n.startswith(f"{effect.name}.")]
+    for effect in best.effects:
+        fitted = [n.partition(".")[2] for n in best.names if n.startswith(f"{effect.name}.")]
         entry: dict[str, Any] = {"effect": source_of(effect)}
         if effect.file is not None:
             entry["sha256"] = effect.file.sha256
-        entry["parameters"] = dict.fromkeys(known, "prior")
+        entry["parameters"] = dict.fromkeys(fitted, "prior")
         content["effects"].append(entry)
-    if len(tried.names) == 1:
+    if len(best.names) == 1:
         logarithmic = bool(fit.space.logarithmic[fit.common[0]])
         std = float(np.sqrt(covariance[0, 0])) * (float(natural[0]) if logarithmic else 1.0)
-        name = tried.names[0].partition(".")[2]
-        known_as = {"fixed": _digits(natural[0]), "std": _digits(std)}
-        content["effects"][-1]["parameters"] = {name: known_as}
+        name = best.names[0].partition(".")[2]
+        estimate = {"fixed": _digits(natural[0]), "std": _digits(std)}
+        content["effects"][-1]["parameters"] = {name: estimate}
     else:
         old = content["prior"] or {"names": [], "mean": [], "covariance": []}
         k = len(old["names"])
         joint = block_diag(np.array(old["covariance"]).reshape(k, k), covariance)
         content["prior"] = {
-            "names": [*old["names"], *tried.names],
+            "names": [*old["names"], *best.names],
             "mean": [*old["mean"], *(_digits(v) for v in natural)],
             "covariance": [[_digits(v) for v in row] for row in joint],
         }
@@ -177,5 +177,5 @@ def section(result: LearningResult, present: ModelSettings) -> ModelSettings:
 
 
 def _digits(value: float) -> float:
-    """Six digits: more are not known, and fewer could make a covariance none."""
+    """Six digits: fewer could make a covariance matrix indefinite."""
     return float(f"{float(value):.6g}")

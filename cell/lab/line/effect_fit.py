@@ -15,18 +15,17 @@ from cell.lab.data.work import Budget, Work
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.shared import PASSES, SharedFit, Spread
 
-#: Fits whose χ² is within this factor of the best are taken to convergence.
+#: Fits whose χ² is within this factor of the best are continued to convergence.
 NEAR, ALL_PASSES = 2.0, replace(PASSES, max_iterations=30)
-#: Share of what an effect does that `shared.SOLVER` may err by: of two that are the same physics, a
-#: late arm and a late camera, the one that was there explained less by 0.4 % of it.
+#: Relative error of an effect's change by `shared.SOLVER`: of two equivalent effects, delays of arm
+#: and camera, the true one explained less, by 0.4 % of it.
 SIMULATED = 0.005
-#: Passes of the last fit, to all cables, that the limit does not touch.
+#: Iterations of the last fit, to all cables, that the budget always allows.
 LEAST_PASSES = 6
 #: Effects are one class if their χ², over its inflation, differs by less; as in a diagnosis.
 TIE = 9.0
-#: Motion that may be simulated for a result, s, counted as `work.Work` does: three to four
-#: minutes of one core.  The shares of it after which no further own solutions are looked for, no
-#: effect is refitted, none is taken to convergence, and no second effect is looked for.
+#: Budget of simulated motion for a result, s, counted as in `work.Work` (three to four minutes of
+#: one core), and of CPU time, s.
 MOST_SIMULATED_S, MOST_CPU_S = 80_000.0, 480.0
 
 
@@ -36,7 +35,7 @@ class LearningBudget:
 
     most_s  seconds of cables' motion
     most_cpu_s  of CPU time, the outer limit: simulations that fail count for little motion
-    cables  those that are not learned from, and why: what is found is found of the others
+    cables  notes on cables that are not used for learning
     """
 
     most_s: float = MOST_SIMULATED_S
@@ -45,29 +44,29 @@ class LearningBudget:
     left_out: list[str] = field(default_factory=list)
     cables: list[str] = field(default_factory=list)
 
-    def allows(self, share: float, what: str) -> bool:
-        """Whether less than a share of it is spent; if not, it is noted what is left out."""
-        most = Budget(self.most_s, self.most_cpu_s).share(share)
-        if not self.work.done.exceeds(most):
+    def allows(self, share: float, task: str) -> bool:
+        """Whether less than a share of it is spent; if not, `task` is noted as omitted."""
+        limit = Budget(self.most_s, self.most_cpu_s).share(share)
+        if not self.work.done.exceeds(limit):
             return True
-        self._leave_out(what)
+        self._leave_out(task)
         return False
 
-    def passes(self, each_s: float, options: Options, what: str) -> Options:
-        """Options of a fit with as many passes as what is left allows.
+    def passes(self, each_s: float, options: Options, task: str) -> Options:
+        """Options of a fit with as many iterations as the remaining budget allows.
 
-        each_s  seconds simulated in a pass
+        each_s  seconds simulated per iteration
         """
         affordable = max(LEAST_PASSES, int((self.most_s - self.work.simulated_s) / each_s))
         if affordable >= options.max_iterations:
             return options
-        self._leave_out(f"{what} after {affordable} passes")
+        self._leave_out(f"{task} after {affordable} passes")
         return replace(options, max_iterations=affordable)
 
-    def _leave_out(self, what: str) -> None:
-        said = f"{what}, for the limit of {self.most_s:.0f} s of simulated motion"
-        if said not in self.left_out:
-            self.left_out.append(said)
+    def _leave_out(self, task: str) -> None:
+        note = f"{task}, for the limit of {self.most_s:.0f} s of simulated motion"
+        if note not in self.left_out:
+            self.left_out.append(note)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +95,7 @@ class EffectFit:
 
     @property
     def firsts(self) -> tuple[int, ...]:
-        """Where the first fitted parameter of each effect stands among the shared ones."""
+        """Index of the first fitted parameter of each effect among the shared ones."""
         owners = [n.partition(".")[0] for n in self.names]
         return tuple(owners.index(e.name) for e in self.effects)
 
@@ -106,13 +105,13 @@ class EffectFit:
         return tuple(self.fit.space.names[i] for i in self.fit.common)
 
     def on_next_cable(self) -> Rival:
-        """The prediction of a cable not measured yet: one like these, as different as these are."""
+        """The prediction of a cable not measured yet, from mean and spread of these cables."""
         fit, space = self.fit, self.fit.space
         n, own, common = len(fit.cables), fit.own, fit.common
         covariance = np.zeros((len(space.names), len(space.names)))
         for i in range(n):
-            mine = slice(i * own, (i + 1) * own)
-            covariance[:own, :own] += fit.inflation * fit.solution.covariance[mine, mine] / n
+            block = slice(i * own, (i + 1) * own)
+            covariance[:own, :own] += fit.inflation * fit.solution.covariance[block, block] / n
         if n > 1:
             covariance[:own, :own] += np.cov(fit.q.T)
         covariance[np.ix_(common, common)] = fit.covariance
@@ -124,11 +123,11 @@ class EffectFit:
 def is_tied(other: EffectFit, best: EffectFit) -> bool:
     """Whether an effect fits as well as the best, or would if its fit had converged.
 
-    As much is less than what noise or the simulation's own error can make of it.
+    The tolerance allows for noise and for the simulation's own error.
     """
-    left = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
-    as_much = max(TIE, SIMULATED**2 * best.fall)
-    return best.fall - other.fall - left / best.fit.inflation < as_much
+    remaining = other.fit.solution.promised if other.fit.chi2 < NEAR * best.fit.chi2 else 0.0
+    tolerance = max(TIE, SIMULATED**2 * best.fall)
+    return best.fall - other.fall - remaining / best.fit.inflation < tolerance
 
 
 def library_first(ranked: Sequence[EffectFit]) -> list[EffectFit]:
@@ -143,7 +142,7 @@ class CycleEvidence:
     """Evidence of one cycle for or against the effect that was added last.
 
     fall    of its own χ² over the inflation: positive speaks for the effect
-    value   of its first parameter as this cable alone would have it
+    value   of its first parameter from this cable alone
     std     of that
     """
 
@@ -157,16 +156,16 @@ class CycleEvidence:
 class LearningResult:
     """The result of learning from many cables: the missing effects, or that none is missing.
 
-    cycles    that were learned from, as in `cycle_evidence`
+    cycles    used for learning, as in `cycle_evidence`
     baseline  the present model, fitted to them
-    ranking   effects that were refitted given those before, the likeliest first
+    ranking   effects refitted in addition to the previous ones, the likeliest first
     best      the likeliest, fitted to all of `cycles`; None = nothing significant is missing
     tied      effects that explain as much as the last of `best`
     spread    of the first parameter of each effect of `best` between cables
     cycle_evidence   for and against the last effect of `best`
     simpler   the result without the last effect; None = there is one effect, or none
-    left_out  what the limit of work has left out, and cables of which the model is none
-    cables_left_out   other cables that were not learned from, or not wholly, and why
+    left_out  notes on work omitted by the budget, and on cables that the model does not fit
+    cables_left_out   notes on other cables not, or not completely, used for learning
     """
 
     cycles: tuple[RecordedCycle, ...]
@@ -190,7 +189,7 @@ class LearningResult:
         return variance
 
     def rivals(self) -> list[Rival]:
-        """Predictions for the next cable by the effect found and those tied with it, if any are."""
+        """Predictions for the next cable by the best effect and those tied; empty without ties."""
         likeliest = self.ranking[:1] if self.tied else ()
         tied = [t for t in self.ranking[1:] if t.effect.name in self.tied]
         return [t.on_next_cable() for t in (*likeliest, *tied)]

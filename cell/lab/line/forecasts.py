@@ -26,7 +26,7 @@ from cell.plan.destination import Destination
 from cell.plan.passage import height_at_opening_m, measured_passage
 from cell.study.data import Markers, Trial
 
-#: Share of a hold from which the rest is forecast, where there is no execution.
+#: First share of a hold, from which the remainder is forecast if there is no execution.
 FIRST_SHARE = 0.6
 
 
@@ -34,12 +34,11 @@ FIRST_SHARE = 0.6
 class TipForecast:
     """Errors of the tip as one model forecasts it; `inf` without a forecast, nan if unseen.
 
-    error_m  largest in the destination, of the rest of a hold in all frames; beyond how far along
-             the cable its end is seen in all pictures
-    rms_m    in all frames, of which noise makes less
-    cpu_s    of the computer, for the identification
-    above_m  height of the tip in the opening above its forecast; nan = it was not executed, or did
-             not come there
+    error_m  largest in the destination, or in all frames of the remainder of a hold; without the
+             constant offset of the observed end along the cable
+    rms_m    over all frames, less sensitive to noise
+    cpu_s    CPU time of the identification
+    above_m  height of the tip in the opening above its forecast; nan = not executed, or not reached
     """
 
     error_m: float
@@ -53,8 +52,8 @@ class ForecastPair:
     """Forecasts of one recorded motion by the present and the candidate model.
 
     candidate  with effects learned from the other cables only
-    of         an execution, forecast from that cycle's own hold; of a cable that was rejected the
-               rest of the hold, forecast from its first frames
+    of         an execution, forecast from that cycle's own hold; for a rejected cable the remainder
+               of the hold, forecast from its first frames
     """
 
     cycle: str
@@ -67,9 +66,9 @@ class ForecastPair:
         keys = {"error_m": "m", "cpu_s": "s", "rms_m": "rms_m", "above_m": "above_m"}
         each = {"present": self.present, "candidate": self.candidate}
         of_models = {
-            f"{model}_{key}": getattr(said, name)
+            f"{model}_{key}": getattr(forecast, name)
             for name, key in keys.items()
-            for model, said in each.items()
+            for model, forecast in each.items()
         }
         return dict(plain({"cycle": self.cycle, "of": self.of, **of_models}))
 
@@ -87,7 +86,7 @@ def forecasts(
     """
     assert result.best is not None
     at_present = {pair.cycle: pair.present for pair in known}
-    found = []
+    pairs = []
     for i, cycle in enumerate(result.cycles):
         if cycle.held is None:
             continue
@@ -98,8 +97,8 @@ def forecasts(
         of: Literal["execution", "rest of the hold"] = (
             "execution" if executed else "rest of the hold"
         )
-        found.append(ForecastPair(cycle.name, before, after, of))
-    return found
+        pairs.append(ForecastPair(cycle.name, before, after, of))
+    return pairs
 
 
 def with_effect(
@@ -122,12 +121,12 @@ def with_effect(
 def _forecast(
     cycle: RecordedCycle, cable: Cable, options: IdentifyOptions, destination: Destination
 ) -> TipForecast:
-    """What a model forecasts of a cycle, against what was seen."""
+    """Errors of a model's forecast of a cycle."""
     assert cycle.held is not None
     start_s = time.process_time()
     first, later = cycle.held, cycle.executed
     if later is None:
-        first, later = _parted(cycle.held)
+        first, later = _split(cycle.held)
     markers = later.markers
     try:
         identified = identify(first, cycle.study.arc_length_m, cable, options=options)
@@ -144,28 +143,28 @@ def _forecast(
         )
     except (CableRejectedError, DivergedError, UnsettledError):
         return TipForecast(np.inf, np.inf, time.process_time() - start_s)
-    seen = markers.xy_m[:, 0] - _seen_beyond_m(first, held) * along_end(later)
-    away_m = np.linalg.norm(seen - tip, axis=1)
-    rms_m = rms(away_m)
+    observed = markers.xy_m[:, 0] - _end_offset_m(first, held) * along_end(later)
+    error_m = np.linalg.norm(observed - tip, axis=1)
+    rms_m = rms(error_m)
     if cycle.executed is None:
-        largest_m = float(np.nanmax(away_m)) if np.isfinite(rms_m) else rms_m
+        largest_m = float(np.nanmax(error_m)) if np.isfinite(rms_m) else rms_m
         return TipForecast(largest_m, rms_m, cpu_s)
-    passage = measured_passage(destination, markers.t_s, seen, markers.t_s, tip)
+    passage = measured_passage(destination, markers.t_s, observed, markers.t_s, tip)
     above_m = passage.miss_m - height_at_opening_m(destination, tip)
     return TipForecast(passage.error_m, rms_m, cpu_s, above_m)
 
 
-def _seen_beyond_m(held: Trial, tip: FloatArray) -> float:
-    """How far along the cable its end is seen from where it is, constant in all its pictures, m.
+def _end_offset_m(held: Trial, tip: FloatArray) -> float:
+    """Constant offset of the observed end along the cable, estimated from a hold, m.
 
-    As a hold tells; no more than pictures may do so: the rest is an error of the model.
+    Clipped to twice the bias of images: the remainder is an error of the model.
     """
-    beyond = np.sum((held.markers.xy_m[:, 0] - tip) * along_end(held), axis=1)
-    seen = beyond[np.isfinite(beyond)]
-    return float(np.clip(seen.mean(), -2.0 * BIAS_M, 2.0 * BIAS_M)) if seen.size else 0.0
+    offset = np.sum((held.markers.xy_m[:, 0] - tip) * along_end(held), axis=1)
+    observed = offset[np.isfinite(offset)]
+    return float(np.clip(observed.mean(), -2.0 * BIAS_M, 2.0 * BIAS_M)) if observed.size else 0.0
 
 
-def _parted(held: Trial) -> tuple[Trial, Trial]:
+def _split(held: Trial) -> tuple[Trial, Trial]:
     """The first frames of a hold, and the others."""
     t_s, xy_m = held.markers.t_s, held.markers.xy_m
     at = int(FIRST_SHARE * len(t_s))

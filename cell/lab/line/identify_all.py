@@ -42,14 +42,14 @@ class IdentifiedTable:
 def identified_table(path: Path, *, afresh: bool = False) -> Iterator[IdentifiedTable]:
     """Open the table in a file, with the last row of each recording, without parameters.
 
-    A line that was torn when a run was killed is removed.
-    afresh  any other file is overwritten too, and no row is known
+    An incomplete last line, from a killed run, is removed.
+    afresh  any existing file is overwritten, and no row is known
     raises  InputError: the file is another table; OSError
     """
-    known: dict[str, IdentifiedAgain] = {}
+    rows: dict[str, IdentifiedAgain] = {}
     complete = 0
     if path.exists() and not afresh:
-        known, complete = _read(path)
+        rows, complete = _read(path)
     file = path.open("r+" if complete else "w", encoding="utf-8", newline="")
     try:
         if complete:
@@ -57,9 +57,9 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
             file.seek(0, os.SEEK_END)
         else:
             file.write(",".join(COLUMNS) + "\n")
-        yield IdentifiedTable(file, known)
+        yield IdentifiedTable(file, rows)
     finally:
-        with naming(path):  # what a full disk did not take is tried once more
+        with naming(path):  # on a full disk the last write is repeated
             file.close()
 
 
@@ -73,7 +73,7 @@ def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
             if number == 1:
                 if line.rstrip(b"\r\n") != ",".join(COLUMNS).encode():
                     raise _wrong(path, 1, "is no table of `cell identify --all`")
-            elif line.endswith(b"\n"):  # one that is torn may end within a letter
+            elif line.endswith(b"\n"):  # an incomplete one may end within a character
                 yield _row(path, number, line)
 
 
@@ -82,8 +82,8 @@ def _read(path: Path) -> tuple[dict[str, IdentifiedAgain], int]:
     content = path.read_bytes()
     if not content:
         return {}, 0
-    known = {row.recording: replace(row, parameters=None) for row in rows_of(path)}
-    return known, content.rfind(b"\n") + 1
+    rows = {row.recording: replace(row, parameters=None) for row in rows_of(path)}
+    return rows, content.rfind(b"\n") + 1
 
 
 def _line(row: IdentifiedAgain) -> str:
@@ -117,13 +117,13 @@ def _row(path: Path, number: int, line: bytes) -> IdentifiedAgain:
     return IdentifiedAgain(**values)
 
 
-def _wrong(path: Path, line: int, what: str) -> InputError:
-    message = f"{what}; give another file, or --force to begin anew"
+def _wrong(path: Path, line: int, problem: str) -> InputError:
+    message = f"{problem}; give another file, or --force to begin anew"
     return InputError([Problem(path, line, None, "", message)])
 
 
 FORMAT = "cable-identified/1"
-#: Recordings that are named in the summary of each kind; the table has all.
+#: Number of recordings listed per kind in the summary; the table has all.
 _NAMED = 10
 
 
@@ -131,11 +131,11 @@ _NAMED = 10
 class IdentifiedAll:
     """Summary of the results of all recordings.
 
-    recordings    in the folder
-    known         of them, those that the table had already
-    outcomes, compared   how many of each, see `IdentifiedAgain`
-    moved         those that have moved most, the first the most
-    unidentified  the first that were not identified
+    recordings    number in the folder
+    known         number of them that the table had already
+    outcomes, compared   counts of each, see `IdentifiedAgain`
+    moved         recordings with the largest changes, largest first
+    unidentified  the first recordings that were not identified
     """
 
     recordings: int
@@ -147,11 +147,11 @@ class IdentifiedAll:
 
     @property
     def done(self) -> int:
-        """Recordings with a result."""
+        """Number of recordings with a result."""
         return self.outcomes.total()
 
     def add(self, row: IdentifiedAgain) -> None:
-        """Count one more."""
+        """Count one further result."""
         row = replace(row, parameters=None)
         self.outcomes[row.outcome] += 1
         self.compared[row.compared] += 1
@@ -191,23 +191,23 @@ def identify_all(
     progress: Progress = no_progress,
     check: Callable[[], None] = lambda: None,
 ) -> Iterator[IdentifiedAll]:
-    """The results so far, after every recording; each is in the table by then.
+    """Yield the results so far after every recording; its row is in the table by then.
 
-    What the table has of a recording is taken if all that it depends on is as it was.
+    A row of the table is reused if all that it depends on is unchanged.
     pack   of `recordings.packer`
-    check  may raise while a result is waited for
+    check  called while waiting for a result; may raise
     """
-    found = IdentifiedAll(len(recordings))
+    summary = IdentifiedAll(len(recordings))
     sent: list[str] = []
 
     def jobs() -> Iterator[Packed]:
-        """Recordings of which nothing is known."""
+        """Yield recordings without a valid row in the table."""
         for recording in recordings:
             packed = pack(recording)
             row = table.known.get(packed.name)
             if row is not None and not packed.error and row.key == packed.key:
-                found.known += 1
-                found.add(row)
+                summary.known += 1
+                summary.add(row)
                 continue
             sent.append(packed.name)
             yield packed
@@ -220,8 +220,8 @@ def identify_all(
             else:
                 row = IdentifiedAgain(sent[result.number], "", "failed", why=str(result.error))
             table.add(row)
-            found.add(row)
-            progress("identifying", found.done, len(recordings))
-            yield found
-    progress("identifying", found.done, len(recordings))
-    yield found
+            summary.add(row)
+            progress("identifying", summary.done, len(recordings))
+            yield summary
+    progress("identifying", summary.done, len(recordings))
+    yield summary

@@ -25,13 +25,13 @@ from cell.study.same_recording import originals
 from cell.workers.executor import Executor
 from cell.workers.here import this_computer
 
-#: Cables that a model is fitted to, at most.
+#: Most cables that a model is fitted to.
 FITTED_TO = 12
 
 
 @dataclass(frozen=True)
 class _Unidentified:
-    """Why a cable cannot be identified, and whether by the model: then it may lack something."""
+    """Why a cable cannot be identified; `by_model`: the model may lack an effect."""
 
     why: str
     by_model: bool = False
@@ -39,7 +39,7 @@ class _Unidentified:
 
 @dataclass(frozen=True)
 class _IdentifiedBy:
-    """A cycle's cable as its hold shows it, or why it cannot be identified."""
+    """Callable: a cycle's cable identified from its hold, or why that failed."""
 
     cable: Cable
     options: IdentifyOptions
@@ -55,7 +55,7 @@ class _IdentifiedBy:
 
 
 def _unfit(study: Study) -> str | None:
-    """Why no line's model can be learned from a study; None = it can."""
+    """Why a study is unsuitable for learning a line's model; None = it is suitable."""
     if not np.allclose(study.gravity_m_per_s2, GRAVITY_M_PER_S2, rtol=0.01):
         return f"gravity is {list(study.gravity_m_per_s2)}, a line has {list(GRAVITY_M_PER_S2)}"
     if bent := [t for t in study.trials if t.bent]:
@@ -81,15 +81,15 @@ def identified_cables(
     progress(f"identifying {counted(len(cycles), 'cable')}")
     with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
         for cycle, result in zip(cycles, results, strict=True):
-            found = result.value
-            if isinstance(found, _Unidentified):
-                told = budget.left_out if found.by_model else budget.cables
-                told.append(f"{cycle.name}: it cannot be identified, {found.why}")
+            identified = result.value
+            if isinstance(identified, _Unidentified):
+                notes = budget.left_out if identified.by_model else budget.cables
+                notes.append(f"{cycle.name}: it cannot be identified, {identified.why}")
                 continue
             if any(t.wrench is not None for t in cycle.study.trials):
                 budget.cables.append(f"{cycle.name}: its wrench; a line weighs markers alone")
             progress(f"identified {cycle.name}")
-            usable.append((cycle, found))
+            usable.append((cycle, identified))
     if not usable:
         why = "; ".join(dict.fromkeys([*budget.left_out, *budget.cables]))
         raise ValueError(f"none of these cables can be learned from: {why}")
@@ -101,19 +101,19 @@ def learned_from(
 ) -> list[tuple[RecordedCycle, Identified]]:
     """The cycles used for learning, at most `FITTED_TO`, the most informative first.
 
-    What was measured to tell effects apart comes first, then executions, which are judged by; of
-    these, those that the model misses most tell most.
+    Measurements made to distinguish effects come first, then executions, as they are needed for
+    forecasts; among these, the cables with the largest model error first.
     """
 
     def rank(pair: tuple[RecordedCycle, Identified]) -> tuple[bool, bool, float]:
-        cycle, found = pair
-        return cycle.held is not None, cycle.executed is None, -found.model_error_m
+        cycle, identified = pair
+        return cycle.held is not None, cycle.executed is None, -identified.model_error_m
 
     chosen: list[tuple[RecordedCycle, Identified]] = []
-    more: list[str] = []
+    omitted: list[str] = []
     for pair in sorted(usable, key=rank):
         if len(chosen) == FITTED_TO:
-            more.append(pair[0].name)
+            omitted.append(pair[0].name)
         elif original := _same_cycle(pair[0], [cycle for cycle, _ in chosen]):
             budget.cables.append(
                 f"{pair[0].name}: the same recording as {original}, their noise is the same; "
@@ -121,24 +121,24 @@ def learned_from(
             )
         else:
             chosen.append(pair)
-    if more:
-        named = ", ".join(sorted(more))
+    if omitted:
+        named = ", ".join(sorted(omitted))
         budget.cables.append(f"{named}: {FITTED_TO} cables are learned from at most")
     return chosen
 
 
-def _same_cycle(cycle: RecordedCycle, others: Sequence[RecordedCycle]) -> str:
-    """Name of the first of other cycles with a recording that this one has too; empty = none."""
-    known = [(other.name, t.markers) for other in others for t in other.study.trials]
-    found = originals([t.markers for t in cycle.study.trials], [markers for _, markers in known])
-    return next((known[number][0] for number in found if number is not None), "")
+def _same_cycle(cycle: RecordedCycle, earlier: Sequence[RecordedCycle]) -> str:
+    """Name of the first of other cycles that has a recording of this one; empty = none."""
+    known = [(other.name, t.markers) for other in earlier for t in other.study.trials]
+    matches = originals([t.markers for t in cycle.study.trials], [markers for _, markers in known])
+    return next((known[number][0] for number in matches if number is not None), "")
 
 
-#: Effects that are added one after another, at most.
+#: Most effects that are added one after another.
 MOST_EFFECTS = 2
-#: A model is complete for the line if it misses by no more than this above the noise, m.
+#: A model is complete for the line if its error exceeds the noise by less than this, m.
 NEGLIGIBLE_M = 5e-6
-#: Standard deviations that are still chance.
+#: Largest deviation attributed to chance, standard deviations.
 CHANCE = 3.0
 
 
@@ -154,11 +154,10 @@ def learn(
 ) -> LearningResult:
     """The effects that the model of `options` lacks, from all cycles together.
 
-    One at first; a second if the first leaves more than the noise.
-    known     is told of what is certain before the end: what the present model misses, the first
-              effect
-    budget    of simulations, the usual one if none is given
-    executor  who identifies the cables; None = all cores of this computer
+    One at first; a second if the residual of the first exceeds the noise.
+    known     callback for intermediate results: error of the present model, first effect
+    budget    of simulations; None = the usual one
+    executor  of the identifications; None = all cores of this computer
     raises  ValueError: no cable can be identified; NoiseUnknownError
     """
     budget = LearningBudget() if budget is None else budget
@@ -170,7 +169,7 @@ def learn(
         tuple(cycle for cycle, _ in chosen),
         tuple(prepared_cycle(all_fitted(cycle.study), budget.work) for cycle, _ in chosen),
         base,
-        np.array([found.mean for _, found in chosen]),
+        np.array([identified.mean for _, identified in chosen]),
         tuple(e for e in library.values() if e not in base.effects),
         budget,
         progress,
@@ -182,13 +181,13 @@ def learn(
 
 def _learned(space: CablesSpace, known: Callable[[LearningResult], None]) -> LearningResult:
     """The effects that the present model of some cables lacks."""
-    if (moving := along_lines(space.fit_without_effects().baseline)) is not None:
-        space = replace(space, prepared=tuple(moving))
-    none = result = space.fit_without_effects()
-    known(none)
-    if negligible(none.baseline):
-        return none
-    for step, (result,) in enumerate(levels(none, space.extended, space.kept)):
+    if (shifted := along_lines(space.fit_without_effects().baseline)) is not None:
+        space = replace(space, prepared=tuple(shifted))
+    without_effects = result = space.fit_without_effects()
+    known(without_effects)
+    if negligible(without_effects.baseline):
+        return without_effects
+    for step, (result,) in enumerate(levels(without_effects, space.extended, space.select)):
         result = space.along_its_lines(result)
         enough = result.best is not None and negligible(result.best.fit)
         if enough or step == min(MOST_EFFECTS, len(space.others)):
@@ -199,17 +198,17 @@ def _learned(space: CablesSpace, known: Callable[[LearningResult], None]) -> Lea
 
 
 def negligible(fit: SharedFit) -> bool:
-    """Whether the error beyond the noise is negligible for the line, and the ends are in place.
+    """Whether error beyond noise, and mean offset of the ends, are negligible for the line.
 
-    How far along it a cable's end is seen is allowed for in each cable alone, and hides there how
-    far all of them are: that must be no more than chance, too.
+    The fit of each cable tolerates an offset of its end, which may hide a common offset of all
+    cables: its mean must not be significant.
     """
     if fit.rms_m**2 - fit.noise_m**2 >= NEGLIGIBLE_M**2:
         return False
-    return ends_seen_beyond(fit) < CHANCE
+    return end_offset_p_value(fit) < CHANCE
 
 
-def ends_seen_beyond(fit: SharedFit) -> float:
+def end_offset_p_value(fit: SharedFit) -> float:
     """Mean offset of detected from predicted cable ends, along the cable, in its own std."""
-    beyond_m = fit.end_seen_beyond_m
-    return abs(float(beyond_m.mean())) * float(np.sqrt(len(beyond_m))) / fit.end_std_m
+    offset_m = fit.end_offset_m
+    return abs(float(offset_m.mean())) * float(np.sqrt(len(offset_m))) / fit.end_std_m

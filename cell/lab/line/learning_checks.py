@@ -21,10 +21,10 @@ from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair
-from cell.lab.line.learn import CHANCE, ends_seen_beyond
+from cell.lab.line.learn import CHANCE, end_offset_p_value
 from cell.plan.destination import Destination
 
-#: From as many forecasts a rank test can be sure; of fewer none may be worse by more than noise.
+#: Fewest forecasts for a rank test; with fewer none may become worse by more than noise.
 RANKED_FROM = 5
 
 
@@ -33,18 +33,18 @@ class LineRules:
     """Limits at which a line's model is complete, and a candidate good enough for the line.
 
     error_over_noise, most_named, noise_known_within   as in a diagnosis
-    chance               standard deviations that are still chance
-    fewest               forecasts that there must be for a candidate to be judged
-    least_gain, least_gain_m   share and size by which forecasts must become better
+    chance               largest deviation attributed to chance, standard deviations
+    fewest               minimum number of forecasts to test a candidate
+    least_gain, least_gain_m   required relative and absolute improvement of forecasts
     significance         one-sided, of the paired differences over all frames (Wilcoxon)
-    repeatability_m      by which the worst forecast may become worse: what arm and camera repeat to
-    lost_passages        forecasts that may leave the opening
-    at_bound             parameters that may be at a bound
-    identifiable         standard deviations that an effect must be from none
-    stays_within         factor by which it may change if a cable is left out
-    alike                share of an effect by which cables of one line may differ in it
-    heterogeneous        significance at which Cochran's Q says that they differ by more: they are
-                         of two lines then, or have it in another way
+    repeatability_m      allowed increase of the worst forecast error: repeatability of arm, camera
+    lost_passages        allowed number of forecasts that leave the opening
+    at_bound             allowed number of parameters at a bound
+    identifiable         required distance of an effect from zero, standard deviations
+    stays_within         allowed factor of its change if a cable is left out
+    alike                allowed relative difference of an effect between cables of one line
+    heterogeneous        significance of a larger difference (Cochran's Q): cables of two lines, or
+                         a different effect
     """
 
     error_over_noise: float = DEFAULT_RULES.most_over_noise
@@ -66,7 +66,7 @@ class LineRules:
 
 @dataclass(frozen=True, eq=False)
 class LineEvidence:
-    """What was learned, and forecasts by the present model and by the candidate."""
+    """Result of learning, and forecasts by the present model and by the candidate."""
 
     result: LearningResult
     paired: Sequence[ForecastPair] = ()
@@ -75,7 +75,7 @@ class LineEvidence:
 
     @property
     def fit(self) -> SharedFit:
-        """The model that is judged, fitted to all cables."""
+        """The tested model, fitted to all cables."""
         return self.result.baseline if self.result.best is None else self.result.best.fit
 
     @property
@@ -86,14 +86,14 @@ class LineEvidence:
 
     @property
     def differing(self) -> list[ForecastPair]:
-        """The forecasts by which the models differ: none where neither has one."""
+        """The pairs with at least one forecast: without any the models do not differ."""
         return [
             f for f in self.paired if np.isfinite([f.present.error_m, f.candidate.error_m]).any()
         ]
 
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
-        """(differing,) of the tip in the destination, of the present model and the candidate."""
+        """(differing,) tip errors in the destination, of the present model and the candidate."""
         return (
             np.array([f.present.error_m for f in self.differing]),
             np.array([f.candidate.error_m for f in self.differing]),
@@ -107,7 +107,7 @@ def error_ratio(evidence: LineEvidence) -> Reading | None:
 
 def ends_beyond(evidence: LineEvidence) -> Reading | None:
     """Mean offset of detected from predicted ends, along the cable, in standard deviations."""
-    return Reading(ends_seen_beyond(evidence.fit))
+    return Reading(end_offset_p_value(evidence.fit))
 
 
 def most_tied(evidence: LineEvidence) -> Reading | None:
@@ -119,25 +119,25 @@ def noise_range(evidence: LineEvidence) -> Reading | None:
     """Smallest ratio, over cables, of the noise variance's upper bound to its estimate."""
     cables = evidence.fit.cables
     allowed = [c.noise_model.allowed_over_level for c in cables if c.noise_model.range_m]
-    known = [a for a in allowed if a is not None]
-    if evidence.result.best is not None or not known:
+    ratios = [a for a in allowed if a is not None]
+    if evidence.result.best is not None or not ratios:
         return None
-    return Reading(min(known))
+    return Reading(min(ratios))
 
 
 def forecast_count(evidence: LineEvidence) -> Reading | None:
     """Number of forecasts."""
     paired = evidence.differing
     executions = sum(f.of == "execution" for f in paired)
-    found = f"{executions} executions, {len(paired)} in all, needs {evidence.rules.fewest}"
-    return Reading(float(len(paired)), found=found)
+    text = f"{executions} executions, {len(paired)} in all, needs {evidence.rules.fewest}"
+    return Reading(float(len(paired)), text=text)
 
 
 def _enough(evidence: LineEvidence) -> bool:
     return len(evidence.differing) >= evidence.rules.fewest
 
 
-def chance_of_gain(evidence: LineEvidence) -> Reading | None:
+def gain_p_value(evidence: LineEvidence) -> Reading | None:
     """p-value of the improvement of forecasts; None if there are too few."""
     return forecast_better(evidence) if _enough(evidence) else None
 
@@ -145,7 +145,7 @@ def chance_of_gain(evidence: LineEvidence) -> Reading | None:
 def forecast_better(evidence: LineEvidence) -> Reading:
     """p-value of the improvement of forecasts; 1 if the tip in the destination improves too little.
 
-    A single frame's noise is as large as what a small effect does there; all of them tell it.
+    A small effect is below a single frame's noise; all frames together show it.
     """
     rules = evidence.rules
     before, after = evidence.errors_m
@@ -154,9 +154,9 @@ def forecast_better(evidence: LineEvidence) -> Reading:
     ).T
     rms = [float(np.sqrt(np.mean(v**2))) for v in (before, after)]
     if len(before) >= RANKED_FROM:
-        from scipy.stats import wilcoxon  # half a second, of which only few have need
+        from scipy.stats import wilcoxon  # import takes 0.5 s, rarely needed
 
-        same = np.array_equal(path_before, path_after)  # no rank differs: it divides by zero
+        same = np.array_equal(path_before, path_after)  # else it divides by zero
         p = 1.0 if same else float(wilcoxon(path_before, path_after, alternative="greater").pvalue)
         how = f"p = {p:.2g}"
     else:
@@ -164,8 +164,8 @@ def forecast_better(evidence: LineEvidence) -> Reading:
         p, how = float(worse > 0), f"{worse} of {len(before)} worse"
     gain = rms[0] - rms[1]
     enough = rms[1] < (1.0 - rules.least_gain) * rms[0] and gain > rules.least_gain_m
-    found = f"{rms[0] * 1e3:.3f} → {rms[1] * 1e3:.3f} mm rms, {how}"
-    return Reading(p if enough else 1.0, found=found)
+    text = f"{rms[0] * 1e3:.3f} → {rms[1] * 1e3:.3f} mm rms, {how}"
+    return Reading(p if enough else 1.0, text=text)
 
 
 def worst_change(evidence: LineEvidence) -> Reading | None:
@@ -173,7 +173,7 @@ def worst_change(evidence: LineEvidence) -> Reading | None:
     if not _enough(evidence):
         return None
     before, after = (float(v.max()) for v in evidence.errors_m)
-    return Reading(after - before, found=f"{before * 1e3:.3f} → {after * 1e3:.3f} mm")
+    return Reading(after - before, text=f"{before * 1e3:.3f} → {after * 1e3:.3f} mm")
 
 
 def lost_passages(evidence: LineEvidence) -> Reading | None:
@@ -184,8 +184,8 @@ def lost_passages(evidence: LineEvidence) -> Reading | None:
     half_m = 0.5 * (opening.y_max_m - opening.y_min_m)
     before, after = (int(np.sum(v < half_m)) for v in evidence.errors_m)
     count = len(evidence.differing)
-    found = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
-    return Reading(float(before - after), found=found)
+    text = f"{before} → {after} of {count} forecast within ± {half_m * 1e3:.1f} mm"
+    return Reading(float(before - after), text=text)
 
 
 def at_bound(evidence: LineEvidence) -> Reading | None:
@@ -193,69 +193,69 @@ def at_bound(evidence: LineEvidence) -> Reading | None:
     best, fit = evidence.best, evidence.best.fit
     low, high = fit.space.low[fit.common], fit.space.high[fit.common]
     at = [n for n, v, a, b in zip(best.names, fit.theta, low, high, strict=True) if not a < v < b]
-    return Reading(float(len(at)), found=", ".join(at) + " at a bound" if at else "all")
+    return Reading(float(len(at)), text=", ".join(at) + " at a bound" if at else "all")
 
 
-def _clearest(tried: EffectFit) -> list[tuple[int, float, float] | None]:
-    """Per effect its amplitude that stands out most; None = none is fitted.
+def _clearest(candidate: EffectFit) -> list[tuple[int, float, float] | None]:
+    """Per effect its most significant amplitude; None = none is fitted.
 
-    returns  index among the shared parameters, coordinate without the effect, and the standard
-             deviations that it is from there
+    returns  index among the shared parameters, coordinate without the effect, and distance from it
+             in standard deviations
     """
-    fit, std = tried.fit, np.sqrt(np.diag(tried.fit.covariance))
+    fit, std = candidate.fit, np.sqrt(np.diag(candidate.fit.covariance))
     clearest = []
-    for effect in tried.effects:
-        found = []
+    for effect in candidate.effects:
+        amplitudes = []
         for p in effect.parameters:
             name = f"{effect.name}.{p.name}"
-            if p.amplitude and name in tried.names:
-                i = tried.names.index(name)
+            if p.amplitude and name in candidate.names:
+                i = candidate.names.index(name)
                 logarithmic = fit.space.logarithmic[fit.common[i]]
-                none = float(np.log(p.default)) if logarithmic else p.default
-                found.append((i, none, abs(float(fit.theta[i]) - none) / float(std[i])))
-        clearest.append(max(found, key=lambda a: a[2], default=None))
+                without = float(np.log(p.default)) if logarithmic else p.default
+                amplitudes.append((i, without, abs(float(fit.theta[i]) - without) / float(std[i])))
+        clearest.append(max(amplitudes, key=lambda a: a[2], default=None))
     return clearest
 
 
 def least_stds(evidence: LineEvidence) -> Reading | None:
     """Smallest distance of an effect from zero, in standard deviations."""
-    least = min(0.0 if found is None else found[2] for found in _clearest(evidence.best))
-    return Reading(least, found=f"{least:.1f} standard deviations from none")
+    least = min(0.0 if clear is None else clear[2] for clear in _clearest(evidence.best))
+    return Reading(least, text=f"{least:.1f} standard deviations from none")
 
 
 def most_changed(evidence: LineEvidence) -> Reading | None:
     """Largest ratio of an effect's size from all cables and with one cable left out."""
-    tried, fit = evidence.best, evidence.best.fit
+    candidate, fit = evidence.best, evidence.best.fit
     if len(fit.cables) < 2:
-        return Reading(np.inf, found="1 cable")
-    left = np.array([fit.without(i) for i in range(len(fit.cables))])
-    remain = []
-    for i, none, _ in filter(None, _clearest(tried)):
-        size = float(fit.theta[i]) - none
-        remain += [float(v) / size if size != 0.0 else 0.0 for v in left[:, i] - none]
-    factors = [max(v, 1.0 / v) if v > 0.0 else np.inf for v in remain]
-    found = f"{min(remain, default=1.0):.2f} … {max(remain, default=1.0):.2f} of it remain"
-    return Reading(max(factors, default=1.0), found=found)
+        return Reading(np.inf, text="1 cable")
+    without = np.array([fit.without(i) for i in range(len(fit.cables))])
+    ratios = []
+    for i, zero, _ in filter(None, _clearest(candidate)):
+        size = float(fit.theta[i]) - zero
+        ratios += [float(v) / size if size != 0.0 else 0.0 for v in without[:, i] - zero]
+    factors = [max(v, 1.0 / v) if v > 0.0 else np.inf for v in ratios]
+    text = f"{min(ratios, default=1.0):.2f} … {max(ratios, default=1.0):.2f} of it remain"
+    return Reading(max(factors, default=1.0), text=text)
 
 
-def chance_of_spread(evidence: LineEvidence) -> Reading | None:
+def spread_p_value(evidence: LineEvidence) -> Reading | None:
     """Smallest p-value of Cochran's Q for a spread between cables beyond the allowed one."""
-    tried, fit = evidence.best, evidence.best.fit
+    candidate, fit = evidence.best, evidence.best.fit
     values, std = fit.by_cable
     if len(values) < 2:
-        return Reading(0.0, found="1 cable")
+        return Reading(0.0, text="1 cable")
     readings = []
-    for i, none, _ in filter(None, _clearest(tried)):
+    for i, zero, _ in filter(None, _clearest(candidate)):
         logarithmic = fit.space.logarithmic[fit.common[i]]
-        may = evidence.rules.alike * (1.0 if logarithmic else abs(float(fit.theta[i]) - none))
-        spread = Spread.of(values[:, i], np.hypot(std[:, i], may))
-        found = (
-            f"{tried.names[i]} differs by {spread.tau:.2g} beyond a tenth of it, which is allowed: "
-            f"Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
+        allowed = evidence.rules.alike * (1.0 if logarithmic else abs(float(fit.theta[i]) - zero))
+        spread = Spread.of(values[:, i], np.hypot(std[:, i], allowed))
+        text = (
+            f"{candidate.names[i]} differs by {spread.tau:.2g} beyond a tenth of it, which is "
+            f"allowed: Q {spread.q:.1f} of {spread.dof}, p = {spread.p_value:.1g}"
         )
-        readings.append(Reading(spread.p_value, found=found))
-    nothing = Reading(1.0, found="no strength is fitted")
-    return min(readings, key=lambda r: r.value, default=nothing)
+        readings.append(Reading(spread.p_value, text=text))
+    none_fitted = Reading(1.0, text="no strength is fitted")
+    return min(readings, key=lambda r: r.value, default=none_fitted)
 
 
 LEARNING: tuple[Check[LineEvidence], ...] = (
@@ -307,15 +307,15 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
 
 
 def learning_outcomes(result: LearningResult) -> list[CheckOutcome[LineEvidence]]:
-    """Results of all checks of what was learned."""
+    """Results of all checks of a learning result."""
     return [check.evaluate(LineEvidence(result)) for check in LEARNING]
 
 
 def learning_verdict(
-    result: LearningResult, found: Sequence[CheckOutcome[LineEvidence]]
+    result: LearningResult, outcomes: Sequence[CheckOutcome[LineEvidence]]
 ) -> Verdict:
-    """The verdict on what was learned; not `complete` if the search left effects out."""
-    verdict = worst_verdict(found, result.best is None)
+    """The verdict on a learning result; not `complete` if the search omitted effects."""
+    verdict = worst_verdict(outcomes, result.best is None)
     return "cannot_tell" if verdict == "complete" and result.left_out else verdict
 
 
@@ -335,7 +335,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "forecasts unseen cables better",
         "Are unseen cables forecast better?",
         "p",
-        chance_of_gain,
+        gain_p_value,
         "<=",
         "significance",
         "refused",
@@ -401,7 +401,7 @@ GATES: tuple[Check[LineEvidence], ...] = (
         "all cables have it alike",
         "Do all cables have the same effect?",
         "p",
-        chance_of_spread,
+        spread_p_value,
         ">=",
         "heterogeneous",
         "refused",
@@ -413,5 +413,5 @@ GATES: tuple[Check[LineEvidence], ...] = (
 
 def gate_outcomes(evidence: LineEvidence) -> list[CheckOutcome[LineEvidence]]:
     """Results of all gates that apply to a candidate."""
-    found = [gate.evaluate(evidence) for gate in GATES]
-    return [answer for answer in found if answer.passed is not None]
+    outcomes = [gate.evaluate(evidence) for gate in GATES]
+    return [outcome for outcome in outcomes if outcome.passed is not None]

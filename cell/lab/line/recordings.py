@@ -32,7 +32,7 @@ from cell.study.left_out import without_outliers
 from cell.workers.identity import code_hash
 
 _RECORDING = ".mcap"
-#: Digits of a hash that tell a year's recordings apart.
+#: Digits of a hash that distinguish a year's recordings.
 _DIGITS = 16
 
 
@@ -42,7 +42,7 @@ def study_to_identify(folder: Path) -> Study:
     raises  InputError: it cannot be read, or no trial is to be fitted
     """
     study = read_study(study_folder(folder))
-    if study_folder(folder) == folder:  # what the cell filmed is judged across the cable alone
+    if study_folder(folder) == folder:  # the cell films the offset across the cable only
         study = without_outliers(study)
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark the one to identify the cable from"
@@ -109,21 +109,21 @@ def recordings_in(folder: Path) -> list[Path]:
     In the order of their paths, which is that of time in a folder of cycles.
     raises  InputError: there is none
     """
-    found = sorted(_recordings(folder)) if folder.is_dir() else []
-    if not found:
+    recordings = sorted(_recordings(folder)) if folder.is_dir() else []
+    if not recordings:
         message = "holds no recorded cycle, no recording (.mcap) and no study"
         raise InputError.at(folder, f"{message}; give the folder that `cell run --runs` wrote to")
-    return found
+    return recordings
 
 
 def _recordings(folder: Path) -> Iterator[Path]:
     for place, folders, files in os.walk(folder):
-        here = Path(place)
-        if "study.yaml" in files or (here / "study" / "study.yaml").exists():
+        path = Path(place)
+        if "study.yaml" in files or (path / "study" / "study.yaml").exists():
             folders.clear()
-            yield here
+            yield path
         else:
-            yield from (here / name for name in files if name.endswith(_RECORDING))
+            yield from (path / name for name in files if name.endswith(_RECORDING))
 
 
 def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callable[[Path], Packed]:
@@ -134,7 +134,7 @@ def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callabl
     raises   InputError, ValueError: of these two, which are read at once
     """
     default = options_with(config, effects)
-    known: dict[bytes, IdentifyOptions] = {}
+    cached: dict[bytes, IdentifyOptions] = {}
 
     def options_of(cycle: Path) -> IdentifyOptions:
         """Read once for all recordings with the same settings."""
@@ -142,10 +142,10 @@ def packer(folder: Path, config: Path | None, effects: Sequence[str]) -> Callabl
         if config is not None or settings is None or not settings.exists():
             return default
         text = settings.read_bytes()
-        if text not in known:
-            known.clear()  # those of a line change seldom
-            known[text] = options_with(settings, effects)
-        return known[text]
+        if text not in cached:
+            cached.clear()  # settings of a line change rarely
+            cached[text] = options_with(settings, effects)
+        return cached[text]
 
     def pack(recording: Path) -> Packed:
         name = recording.relative_to(folder).as_posix()
@@ -191,8 +191,8 @@ def _key(files: Sequence[tuple[str, bytes]], options: IdentifyOptions, model: by
 _REACH = NormalDist().inv_cdf(0.975)
 
 Outcome = Literal["identified", "rejected", "failed"]
-#: Values compared with those of then: bit for bit the same; within the 95 % intervals of then; some
-#: outside; another model; identified then and not now; nothing to compare with.
+#: Comparison with the earlier result: identical; within its 95 % intervals; some outside; other
+#: parameters; identified earlier but not now; no earlier result.
 Compared = Literal["same", "within", "outside", "other model", "lost", "nothing"]
 
 
@@ -201,8 +201,8 @@ class IdentifiedAgain:
     """The result of one recording.
 
     key         hash of all that it depends on
-    moved       parameter that has moved most from what was identified then; empty = none
-    moved_std   by how many standard deviations of then
+    moved       parameter with the largest change from the earlier result; empty = none
+    moved_std   its change in standard deviations of the earlier result
     parameters  name → value, and its 95 % interval
     why         it was rejected, or has failed
     """
@@ -226,8 +226,8 @@ def identified_again(recording: Packed) -> IdentifiedAgain:
     row = IdentifiedAgain(recording.name, recording.key, "failed")
     if recording.error:
         return replace(row, why=recording.error)
-    then = _parameters_of(recording.model)
-    row = replace(row, compared="nothing" if then is None else "lost")
+    earlier = _parameters_of(recording.model)
+    row = replace(row, compared="nothing" if earlier is None else "lost")
     with TemporaryDirectory() as place:
         folder = Path(place) / "cycle"
         for path, content in recording.files:
@@ -241,7 +241,7 @@ def identified_again(recording: Packed) -> IdentifiedAgain:
         except (InputError, ValueError) as error:
             return replace(row, why=str(error).replace(str(folder), recording.name))
     now = {p["name"]: (p["value"], p["low"], p["high"]) for p in identified.to_dict()["parameters"]}
-    compared, moved, moved_std = _compared(now, then)
+    compared, moved, moved_std = _compared(now, earlier)
     return replace(
         row,
         outcome="identified",
@@ -270,20 +270,20 @@ def _parameters_of(model: bytes | None) -> Mapping[str, tuple[float, float, floa
 
 def _compared(
     now: Mapping[str, tuple[float, float, float]],
-    then: Mapping[str, tuple[float, float, float]] | None,
+    earlier: Mapping[str, tuple[float, float, float]] | None,
 ) -> tuple[Compared, str, float | None]:
-    """How the values differ from then, which of them most, and by how many deviations of then."""
-    if then is None:
+    """Comparison with earlier values, the parameter that changed most, its change in std."""
+    if earlier is None:
         return "nothing", "", None
-    if list(now) != list(then):
+    if list(now) != list(earlier):
         return "other model", "", None
-    if now == then:
+    if now == earlier:
         return "same", "", None
-    moved = {
+    changes = {
         name: abs(now[name][0] - value) / (0.5 * (high - low) / _REACH)
-        for name, (value, low, high) in then.items()
+        for name, (value, low, high) in earlier.items()
         if high > low
     }
-    most = max(moved, key=lambda name: moved[name], default="")
-    inside = all(low <= now[name][0] <= high for name, (_, low, high) in then.items())
-    return "within" if inside else "outside", most, moved.get(most)
+    largest = max(changes, key=lambda name: changes[name], default="")
+    inside = all(low <= now[name][0] <= high for name, (_, low, high) in earlier.items())
+    return "within" if inside else "outside", largest, changes.get(largest)

@@ -26,14 +26,14 @@ from cell.lab.verdict.checks import explains
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence
 
-#: Sets of effects that are fitted to all studies, and how many of them by the sum of the screens.
+#: Number of sets of effects fitted to all studies, and of those proposed by the sum of the screens.
 MOST_SETS, BY_SCREENS = 8, 2
-#: Of a normal distribution, for 95 %.
+#: Half-width of a 95 % interval, in standard deviations.
 REACH = 1.959964
 
 Names = tuple[str, ...]
-#: What a study says of the effects that were found: it shows them, excludes them at the size that
-#: the others show, or cannot tell.
+#: Evidence of a study on the effects found: it shows them, excludes them at the size in the others,
+#: or cannot tell.
 Says = Literal["shows", "excludes", "cannot tell"]
 
 
@@ -42,11 +42,11 @@ class StudyPart:
     """Contribution of one study to the joint diagnosis.
 
     alone         verdict of the study alone
-    missing       effects that it alone finds missing, each with those tied with it
-    delta_chi2    by which the effects of the answer lower χ² over all its trials
-    explained     whether the model with these effects leaves noise there; or without them, where
-                  the study does not show them
-    says          of these effects; "" if there are none
+    missing       effects missing in its own diagnosis, each with those tied with it
+    delta_chi2    fall of χ² over all its trials by the effects of the joint result
+    explained     whether its residual is noise with these effects, or without them where the study
+                  does not show them
+    says          evidence on these effects; "" if there are none
     """
 
     study: str
@@ -57,7 +57,7 @@ class StudyPart:
     says: Says | Literal[""]
 
     def finds(self, effects: Sequence[str]) -> bool:
-        """Whether the study alone says that each of these effects is missing, or one tied with it.
+        """Whether each of these effects, or one tied with it, is missing in its own diagnosis.
 
         Then its held-out trials have confirmed them.
         """
@@ -82,7 +82,7 @@ class Consistency:
 
     value, low, high     mean and its 95 % interval
     tau                  standard deviation between cables: of ln(value) if `logarithmic`
-    q_p_value            of values so far apart by chance (Cochran's Q)
+    q_p_value            of the spread of the values (Cochran's Q)
     without_low, without_high   smallest and largest mean with one study left out
     """
 
@@ -116,10 +116,10 @@ class Hypothesis:
 class Together:
     """Result of a joint diagnosis: the verdict, and the effects that all studies share.
 
-    why         in a sentence
+    why         reason of the verdict, as a sentence
     effects     missing in the model; empty if none is
     tied        sets of effects that explain as much
-    hypotheses  all that were tried, the likeliest first
+    hypotheses  all fitted sets, the likeliest first
     """
 
     verdict: Verdict
@@ -140,7 +140,7 @@ class Pooled:
     """The mean of values with known standard deviations, all in a fit's coordinates.
 
     reach    half of its 95 % interval
-    spread   between the values beyond what each is uncertain by; Cochran's Q and its p-value
+    spread   between the values in excess of their uncertainties; Cochran's Q and its p-value
     without  (n,) the mean without each of them
     """
 
@@ -164,18 +164,18 @@ def pool(values: FloatArray, std: FloatArray) -> Pooled:
     n = len(values)
     reach = REACH * np.sqrt(by_std)
     if n > 1:
-        seen = float(np.sum(weights * (values - mean) ** 2)) / (n - 1)
-        knapp = float(t_quantile(n - 1, 0.975)) * np.sqrt(by_std * seen)
+        scatter = float(np.sum(weights * (values - mean) ** 2)) / (n - 1)
+        knapp = float(t_quantile(n - 1, 0.975)) * np.sqrt(by_std * scatter)
         reach = max(reach, knapp)
-    others = [
+    without = [
         float(np.average(np.delete(values, i), weights=np.delete(weights, i))) if n > 1 else mean
         for i in range(n)
     ]
-    return Pooled(mean, float(reach), spread, np.array(others))
+    return Pooled(mean, float(reach), spread, np.array(without))
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raises ValueError: fewer than two studies, or two of one name."""
+    """Raises ValueError: fewer than two studies, or two with the same name."""
     if len(names) < 2 or len(set(names)) < len(names):
         raise ValueError(
             f"{', '.join(names)}: several studies of different names are needed; rename folders"
@@ -185,7 +185,7 @@ def check_names(names: Sequence[str]) -> None:
 def together(studies: Sequence[Examination]) -> Together:
     """The joint diagnosis of several studies whose cables may lack the same effects.
 
-    raises  ValueError: of fewer than two studies, or of two of one name
+    raises  ValueError: fewer than two studies, or two with the same name
     """
     check_names([s.fits.prepared.study.name for s in studies])
     rules = studies[0].fits.rules
@@ -205,7 +205,7 @@ def together(studies: Sequence[Examination]) -> Together:
     ]
     ranked = sorted(each, key=lambda h: -h.evidence)
     best = _simplest(ranked, studies, models_of)
-    # one limit for the residuals of all studies together: each has its share of it
+    # Bonferroni: the residuals of all studies share one significance level
     rules = replace(rules, residual_significance=rules.residual_significance / len(studies))
     tied = tuple(
         h.effects
@@ -221,30 +221,30 @@ def together(studies: Sequence[Examination]) -> Together:
 
 
 def _hypotheses(studies: Sequence[Examination]) -> list[Names]:
-    """No effect; the sets that studies find, and what is tied; effects that all screens suggest."""
+    """No effect; the sets that single studies propose, with ties; the best of all screens."""
     votes: Counter[Names] = Counter()
     for study in studies:
-        votes.update(_found(study))
-    found = [names for names, _ in votes.most_common(MOST_SETS - BY_SCREENS)]
+        votes.update(_proposed(study))
+    proposed = [names for names, _ in votes.most_common(MOST_SETS - BY_SCREENS)]
     likely = ranked_by_screens([s.fits.screened(s.fits.base) for s in studies])
     suggested = [(effect.name,) for effect in likely[:BY_SCREENS]]
-    return list(dict.fromkeys([(), *found, *suggested]))
+    return list(dict.fromkeys([(), *proposed, *suggested]))
 
 
-def _found(examination: Examination) -> Iterator[Names]:
-    """The set of effects that a study finds, and the same with each effect tied with one of it."""
+def _proposed(examination: Examination) -> Iterator[Names]:
+    """Yield the set of effects of a study's diagnosis, and the variants by its ties."""
     diagnosis = examination.diagnosis
     listed = diagnosis.missing or diagnosis.partial
-    names = tuple(sorted(one.effect for one in listed))
+    names = tuple(sorted(effect.effect for effect in listed))
     if not names:
         added = examination.fits.added(examination.accepted)
         names = tuple(sorted(e.name for e in added))
     if names:
         yield names
-    for one in listed:
-        for other in one.tied_with:
-            if other not in names:
-                yield tuple(sorted({*names, other} - {one.effect}))
+    for effect in listed:
+        for rival in effect.tied_with:
+            if rival not in names:
+                yield tuple(sorted({*names, rival} - {effect.effect}))
 
 
 def _simplest(
@@ -252,16 +252,16 @@ def _simplest(
     studies: Sequence[Examination],
     models_of: dict[Names, list[FittedModel]],
 ) -> Hypothesis:
-    """The likeliest set, if it is significant; no effect where that leaves noise as well."""
-    none = next(h for h in ranked if not h.effects)
+    """The likeliest set, if it is significant; else the hypothesis without effects."""
+    baseline = next(h for h in ranked if not h.effects)
     best = ranked[0]
     if not best.effects:
-        return none
+        return baseline
     count = sum(p.fitted for m in models_of[best.effects] for e in m.effects for p in e.parameters)
     count -= sum(p.fitted for s in studies for e in s.fits.base.effects for p in e.parameters)
     library = max(len(s.fits.library) for s in studies)
     p_value = library * float(chi2_sf(max(count, 1), max(best.delta_chi2, 0.0)))
-    return best if p_value < studies[0].fits.rules.significance else none
+    return best if p_value < studies[0].fits.rules.significance else baseline
 
 
 def _parts(
@@ -270,69 +270,69 @@ def _parts(
     models: Sequence[FittedModel],
     rules: Rules,
 ) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
-    """Each study's part, and the parameters over those that do not exclude the effects."""
+    """Each study's part, and consistency of the parameters where effects are not excluded."""
     evidence = [Evidence(s.fits.with_rules(rules), m) for s, m in zip(studies, models, strict=True)]
     shows = [_shows(s, m, best) for s, m in zip(studies, models, strict=True)]
     says: list[Says | Literal[""]] = ["" for _ in studies]
     if best.effects:
-        says = _says(evidence, best, shows)
+        says = _evidence_of_studies(evidence, best, shows)
     parts = tuple(
         StudyPart(
             study.fits.prepared.study.name,
             study.diagnosis.verdict,
             tuple((m.effect, *m.tied_with) for m in study.diagnosis.missing),
             study.fits.base.chi2 - model.chi2,
-            _explained(study, of_model, said),
-            said,
+            _explained(study, of_model, text),
+            text,
         )
-        for study, model, of_model, said in zip(studies, models, evidence, says, strict=True)
+        for study, model, of_model, text in zip(studies, models, evidence, says, strict=True)
     )
-    kept = [i for i, said in enumerate(says) if said != "excludes"]
-    if not best.effects or not kept:
+    included = [i for i, text in enumerate(says) if text != "excludes"]
+    if not best.effects or not included:
         return parts, ()
-    some = [(studies[i].fits.prepared.study.name, evidence[i]) for i in kept]
-    found = [_consistency(some, name) for name in _parameters(evidence[0], best)]
-    return parts, tuple(found)
+    named = [(studies[i].fits.prepared.study.name, evidence[i]) for i in included]
+    consistency = [_consistency(named, name) for name in _parameters(evidence[0], best)]
+    return parts, tuple(consistency)
 
 
-def _explained(study: Examination, with_effects: Evidence, said: str) -> bool:
-    """Whether a study's model leaves noise; without the effects where it does not show them."""
+def _explained(study: Examination, with_effects: Evidence, says: str) -> bool:
+    """Whether a study's residual is noise, with the effects or, if not shown, without them."""
     without = replace(with_effects, final=study.fits.base)
-    return any(explains(e) for e in ([] if said == "shows" else [without]) + [with_effects])
+    return any(explains(e) for e in ([] if says == "shows" else [without]) + [with_effects])
 
 
 def _shows(study: Examination, model: FittedModel, best: Hypothesis) -> bool:
     """Whether every effect is significant in a study by itself."""
     for effect in (e for e in model.effects if e.name in best.effects):
-        rest = study.fits.fit_reduced(model, effect)
-        if study.fits.gain(rest, model).p_value >= study.fits.rules.significance:
+        without = study.fits.fit_reduced(model, effect)
+        if study.fits.gain(without, model).p_value >= study.fits.rules.significance:
             return False
     return True
 
 
-def _says(
+def _evidence_of_studies(
     evidence: Sequence[Evidence], best: Hypothesis, shows: Sequence[bool]
 ) -> list[Says | Literal[""]]:
-    """Of each study; one excludes the effects if its amplitude is far from that of the others."""
-    said: list[Says | Literal[""]] = ["shows" if s else "cannot tell" for s in shows]
+    """Evidence per study; it excludes the effects if its amplitude is far from the others'."""
+    says: list[Says | Literal[""]] = ["shows" if s else "cannot tell" for s in shows]
     if not any(shows):
-        return said
-    those = np.array(shows)
+        return says
+    showing = np.array(shows)
     for name in _parameters(evidence[0], best, amplitudes=True):
         q, std = _coordinates(evidence, name)
-        mean = pool(q[those], std[those])
-        for i in np.flatnonzero(~those):
-            apart = abs(q[i] - mean.mean)
-            if apart > 3.0 * np.hypot(std[i], mean.reach / REACH):
-                said[i] = "excludes"
-    return said
+        mean = pool(q[showing], std[showing])
+        for i in np.flatnonzero(~showing):
+            difference = abs(q[i] - mean.mean)
+            if difference > 3.0 * np.hypot(std[i], mean.reach / REACH):
+                says[i] = "excludes"
+    return says
 
 
-def _parameters(one: Evidence, best: Hypothesis, *, amplitudes: bool = False) -> list[str]:
-    """Names of the fitted parameters of the effects found."""
+def _parameters(evidence: Evidence, best: Hypothesis, *, amplitudes: bool = False) -> list[str]:
+    """Names of the fitted parameters of the effects of a hypothesis."""
     return [
         f"{e.name}.{p.name}"
-        for e in one.estimate.fit.space.effects
+        for e in evidence.estimate.fit.space.effects
         if e.name in best.effects
         for p in e.parameters
         if p.fitted and (p.amplitude or not amplitudes)
@@ -340,20 +340,20 @@ def _parameters(one: Evidence, best: Hypothesis, *, amplitudes: bool = False) ->
 
 
 def _coordinates(evidence: Sequence[Evidence], name: str) -> tuple[FloatArray, FloatArray]:
-    """(n,) a parameter in the fit's coordinate, and its standard deviation."""
+    """(n,) coordinate of a parameter per study, and its standard deviation."""
     q, std = np.array([e.estimate.coordinate(name) for e in evidence]).T
     return q, std
 
 
 def _consistency(studies: Sequence[tuple[str, Evidence]], name: str) -> Consistency:
-    """One parameter over several studies."""
+    """Consistency of one parameter over several studies."""
     evidence = [e for _, e in studies]
     q, std = _coordinates(evidence, name)
-    found = pool(q, std)
+    pooled = pool(q, std)
     first = evidence[0].estimate
     space = first.fit.space
     i = space.names.index(name)
-    reach = np.hypot(found.reach, REACH * first.model_error(name, found.mean))
+    reach = np.hypot(pooled.reach, REACH * first.model_error(name, pooled.mean))
 
     def natural(value: float) -> float:
         point = first.fit.q.copy()
@@ -364,13 +364,13 @@ def _consistency(studies: Sequence[tuple[str, Evidence]], name: str) -> Consiste
         name,
         space.units[i],
         bool(space.logarithmic[i]),
-        natural(found.mean),
-        natural(found.mean - reach),
-        natural(found.mean + reach),
-        found.spread.tau,
-        found.spread.p_value,
-        natural(float(found.without.min())),
-        natural(float(found.without.max())),
+        natural(pooled.mean),
+        natural(pooled.mean - reach),
+        natural(pooled.mean + reach),
+        pooled.spread.tau,
+        pooled.spread.p_value,
+        natural(float(pooled.without.min())),
+        natural(float(pooled.without.max())),
         tuple(
             StudyValue(n, natural(v), natural(v - REACH * s), natural(v + REACH * s))
             for (n, _), v, s in zip(studies, q, std, strict=True)
@@ -383,13 +383,13 @@ def joint_verdict(
 ) -> tuple[Verdict, str]:
     """The joint verdict of all studies, and its reason."""
     names = " and ".join(best.effects)
-    left = [p.study for p in parts if not p.explained]
-    if left:
+    unexplained = [p.study for p in parts if not p.explained]
+    if unexplained:
         with_it = f" with {names}" if best.effects else ""
-        rest = len(parts) - len(left)
+        explained_count = len(parts) - len(unexplained)
         return "unexplained", (
-            f"the model{with_it} leaves more than noise in {', '.join(left)}"
-            f"{f', and noise in the {rest} others' if rest else ''}"
+            f"the model{with_it} leaves more than noise in {', '.join(unexplained)}"
+            f"{f', and noise in the {explained_count} others' if explained_count else ''}"
         )
     if not best.effects:
         unsure = [p.study for p in parts if p.alone == "cannot_tell"]
@@ -397,8 +397,8 @@ def joint_verdict(
             return "cannot_tell", "the model leaves noise in all studies, but none can tell"
         return "complete", f"the model leaves noise in all {len(parts)} studies"
     if len(tied) + 1 > rules.most_named:
-        others = ", ".join(" and ".join(t) for t in tied)
-        return "cannot_tell", f"{names} explains all studies, but so do {others}"
+        rivals = ", ".join(" and ".join(t) for t in tied)
+        return "cannot_tell", f"{names} explains all studies, but so do {rivals}"
     shows = [p.study for p in parts if p.says == "shows"]
     excludes = [p.study for p in parts if p.says == "excludes"]
     confirmed = len(shows) > 1 or any(p.finds(best.effects) for p in parts)
@@ -410,5 +410,5 @@ def joint_verdict(
             f"{', '.join(excludes)} exclude it at that size: the cables are not alike"
         )
     silent = len(parts) - len(shows)
-    also = f"; {silent} cannot tell and agree" if silent else ""
-    return "missing", f"{len(shows)} of {len(parts)} studies show {names}{also}"
+    agreement = f"; {silent} cannot tell and agree" if silent else ""
+    return "missing", f"{len(shows)} of {len(parts)} studies show {names}{agreement}"

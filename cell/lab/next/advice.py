@@ -47,7 +47,7 @@ class NextStep:
     command: str = ""
 
 
-#: Where no parameter of the model means anything, nothing is to be fitted or looked for.
+#: Only step if the model's parameters are meaningless.
 MEND = NextStep(
     "Correct the study first: signs and axes of its frame, gravity, the order of the markers, the "
     "datasheet, one clock for both files. The cable must be held at one end only."
@@ -73,7 +73,7 @@ class Paths:
 
     @staticmethod
     def of(study: Path, effects: Iterable[type[Effect]]) -> Paths:
-        """Of a study and the effects that it was examined with."""
+        """Paths of a study and of the effects used with it."""
         own = {e.name: _shown(e.file.path) for e in effects if e.file is not None}
         return Paths(study, own)
 
@@ -89,20 +89,20 @@ class Paths:
 
 
 def _shown(path: Path) -> Path:
-    """A path relative to where the user is, if it is below."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    """A path relative to the current folder, if it is below that."""
+    folder = Path.cwd()
+    return path.relative_to(folder) if path.is_relative_to(folder) else path
 
 
 def comparison_steps(
     paths: Paths, effects: Iterable[str], known: Iterable[str] = ()
 ) -> tuple[NextStep, ...]:
     """Commands that fit a model without and with effects, and compare the two."""
-    both = "--model before.json --model after.json --report comparison.html"
+    arguments = "--model before.json --model after.json --report comparison.html"
     return (
         NextStep("Fit the model before", paths.command("fit", known, "-o before.json")),
         NextStep("Fit the model after", paths.command("fit", [*known, *effects], "-o after.json")),
-        NextStep("Compare the errors of both", paths.command("compare", (), both)),
+        NextStep("Compare the errors of both", paths.command("compare", (), arguments)),
     )
 
 
@@ -116,13 +116,13 @@ def advice(
     """Next steps after a diagnosis; none with an effect that the diagnosis excludes.
 
     known     effects that were part of the model
-    accepted  effects that were confirmed on the way; what explains most, if anything does, is more
+    accepted  effects confirmed in the search, if no partial explanation has more
     """
     if diagnosis.codes & {"not_searched", "hopeless"}:
         return (MEND,)
     if "noise_unknown" in diagnosis.codes and not diagnosis.missing:
         return (REST,)
-    found = [f.effect for f in diagnosis.missing]
+    missing = [f.effect for f in diagnosis.missing]
     ruled_out = {r.effect for r in diagnosis.ranking if r.status == "absent"}
     accepted = tuple(e for e in accepted if e not in ruled_out)
     motion = NextStep(
@@ -133,14 +133,14 @@ def advice(
             return (NextStep("Nothing needs to be added."),)
         case "missing":
             tied = any(f.tied_with for f in diagnosis.missing)
-            return (*comparison_steps(paths, found, known), *([motion] if tied else []))
+            return (*comparison_steps(paths, missing, known), *([motion] if tied else []))
         case "unexplained":
             accepted = tuple(f.effect for f in diagnosis.partial) or accepted
-            there = [*known, *accepted]
-            addition = f" in addition to {' and '.join(there)}" if there else ""
-            look = paths.command("discover", there, f"-o {_new_law(there)}.py")
-            fall = comparison_steps(paths, accepted, known) if accepted else ()
-            return (*fall, NextStep(f"Search for an unknown law{addition}", look))
+            in_model = [*known, *accepted]
+            addition = f" in addition to {' and '.join(in_model)}" if in_model else ""
+            search = paths.command("discover", in_model, f"-o {_new_law(in_model)}.py")
+            comparison = comparison_steps(paths, accepted, known) if accepted else ()
+            return (*comparison, NextStep(f"Search for an unknown law{addition}", search))
         case _:
             return (NextStep("Measure more. " + motion.why, motion.command),)
 
@@ -152,14 +152,14 @@ def after_discovery(
     steps = comparison_steps(paths, [effect], known)
     if complete:
         return steps
-    there = [*known, effect]
-    more = paths.command("discover", there, f"-o {_new_law(there)}.py")
-    return (*steps, NextStep("Search for what else is missing", more))
+    in_model = [*known, effect]
+    command = paths.command("discover", in_model, f"-o {_new_law(in_model)}.py")
+    return (*steps, NextStep("Search for what else is missing", command))
 
 
-def _new_law(taken: Iterable[str]) -> str:
-    """A name for a law that no effect has yet."""
-    names, number = set(taken), 2
+def _new_law(used: Iterable[str]) -> str:
+    """A new name for a law."""
+    names, number = set(used), 2
     if "discovered" not in names:
         return "discovered"
     while f"discovered_{number}" in names:

@@ -30,10 +30,10 @@ def effect_source(
 ) -> str:
     """Python file with one effect made of terms.
 
-    values  found: amplitudes start there, other parameters have them as defaults
+    values  fitted: amplitudes start there, other parameters have them as defaults
     """
-    known = values or {}
-    numbers = [_at(n, known) for term in terms for n in term.numbers]
+    fitted = values or {}
+    numbers = [_at(n, fitted) for term in terms for n in term.numbers]
     laws = "\n".join(f"    {t.law[0].upper()}{t.law[1:]}." for t in terms)
     parameters = "\n".join(
         f"        Parameter({n.name!r}, {n.unit!r}, {n.low:.6g}, {n.high:.6g}, {n.default:.8g}, "
@@ -82,7 +82,7 @@ class Discovery:
     noise_m    of the measurement
     before_m, after_m   rms error without and with the law
     confirmed  on held-out trials; False if the study has none
-    complete   whether what is left is noise
+    complete   whether the residual is noise
     source     Python of its file
     """
 
@@ -104,7 +104,7 @@ class Discovery:
         return float(np.clip(fall / excess, 0.0, 1.0)) if excess > 0.0 else 1.0
 
     def write(self, path: Path) -> None:
-        """Write the effect's file, whole or not at all."""
+        """Write the effect's file atomically."""
         write_atomic(path, self.source)
 
     def to_json(self) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class Discovery:
         }
 
 
-#: Terms are few: all are refitted.
+#: Rules that refit all terms, as there are few.
 ALL_TERMS = Rules(max_refits=20)
 
 
@@ -134,40 +134,40 @@ class NothingFoundError(ValueError):
 def discover(fits: FitCache, out: Path) -> Discovery:
     """Find the missing law as an effect that is named after the file `out`.
 
-    The residual is regressed on what each admissible term would do to the markers (a score test
-    with the cable's own parameters free), the best are refitted, and terms added one after another
-    under the same rules as known effects: significant, and confirmed on held-out trials.  The file
-    is then loaded as any user's and refitted.
-    raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the name
-            of the file will not do; nothing written
+    The residual is regressed on the marker changes by each admissible term (a score test with the
+    cable's own parameters free), the best are refitted, and terms are added one after another under
+    the same rules as known effects: significant, and confirmed on held-out trials.  The file is
+    then loaded as a user's own effect and refitted.
+    raises  NothingFoundError: the model is complete, or no term is accepted; ValueError: the file
+            name is not allowed; nothing written
     """
-    known = [e.name for e in fits.space.effects]
-    name = effect_name(out, known)
+    in_model = [e.name for e in fits.space.effects]
+    name = effect_name(out, in_model)
     box_m = _box(fits.prepared.unjoined.role("fit"))
-    terms = {t.effect: t for t in admissible(box_m) if t.effect not in known}
+    terms = {t.effect: t for t in admissible(box_m) if t.effect not in in_model}
     with tempfile.TemporaryDirectory() as folder:
-        tried = _each(terms.values(), Path(folder))
+        single_terms = _each(terms.values(), Path(folder))
         with fits.work.stage("prepare"):
-            search = FitCache.of(replace(fits.setup, library=tried, rules=ALL_TERMS))
+            search = FitCache.of(replace(fits.setup, library=single_terms, rules=ALL_TERMS))
         examination = diagnose(search)
     fits.work.renew()
-    base, found = examination.fits.base, examination.accepted
-    if found is base:
+    base, model = examination.fits.base, examination.accepted
+    if model is base:
         study = fits.prepared.study.name
         raise NothingFoundError(f"study {study}: {_why_nothing(examination, base)}")
-    kept = [terms[e.name] for e in examination.fits.added(found)]
+    accepted = [terms[e.name] for e in examination.fits.added(model)]
     about = f"Law inferred from the residuals of study {fits.prepared.study.name}."
-    names = {f"{t.effect}.{n.name}": f"{name}.{n.name}" for t in kept for n in t.numbers}
-    source = effect_source(name, kept, about, _values(found, names))
+    names = {f"{t.effect}.{n.name}": f"{name}.{n.name}" for t in accepted for n in t.numbers}
+    source = effect_source(name, accepted, about, _values(model, names))
     with tempfile.TemporaryDirectory() as folder:
         effect = _loaded(Path(folder) / out.name, source)
-        joined, final = with_joined(examination.fits, found, effect, names)
+        joined, final = with_joined(examination.fits, model, effect, names)
         estimate = Evidence(joined, final).estimate
     return Discovery(
         effect=name,
         source=source,
         parameters=estimate.intervals(effect),
-        laws=tuple(t.law for t in kept),
+        laws=tuple(t.law for t in accepted),
         noise_m=joined.prepared.noise_model.noise.std_m,
         before_m=_error(base),
         after_m=_error(final),
@@ -176,10 +176,10 @@ def discover(fits: FitCache, out: Path) -> Discovery:
     )
 
 
-def _values(found: FittedModel, names: Mapping[str, str]) -> dict[str, float]:
-    """What was found for the parameters with these names in the model, by the terms' own names."""
-    space = found.fit.space
-    natural = dict(zip(space.names, space.natural(found.fit.q).tolist(), strict=True))
+def _values(model: FittedModel, names: Mapping[str, str]) -> dict[str, float]:
+    """Fitted values of the parameters with these names in the model, by the terms' own names."""
+    space = model.fit.space
+    natural = dict(zip(space.names, space.natural(model.fit.q).tolist(), strict=True))
     return {name.partition(".")[2]: natural[name] for name in names}
 
 
@@ -198,7 +198,7 @@ def effect_name(out: Path, known: Sequence[str] = ()) -> str:
 
 
 def _why_nothing(examination: Examination, base: FittedModel) -> str:
-    """Why no law is written, and what to do."""
+    """Error text: the reason for no law, and the remedy."""
     noise_m = examination.diagnosis.noise_m
     misses = f"it misses {_error(base) * 1e3:.4f} mm, noise is {noise_m * 1e3:.4f} mm"
     if examination.diagnosis.verdict == "complete":
@@ -207,17 +207,17 @@ def _why_nothing(examination: Examination, base: FittedModel) -> str:
             "nothing written"
         )
     nearest = min(examination.singles, key=_error, default=base)
-    tried = ""
+    nearby = ""
     stopped = any(w.code == "interrupted" for w in examination.diagnosis.warnings)
     if nearest is not base:
         name = next(iter(nearest.names - base.names))
-        tried = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
+        nearby = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
     if stopped:
-        return f"interrupted: no law is confirmed so far ({misses}){tried}; nothing written"
+        return f"interrupted: no law is confirmed so far ({misses}){nearby}; nothing written"
     return (
         "no admissible law is significant and confirmed on held-out trials: the model is not "
-        f"complete ({misses}){tried}; nothing written. Measure more motions, or write an effect of "
-        "your own (`cell help own_effect`)"
+        f"complete ({misses}){nearby}; nothing written. Measure more motions, or write an effect "
+        "of your own (`cell help own_effect`)"
     )
 
 
@@ -234,49 +234,49 @@ def _loaded(path: Path, source: str) -> type[Effect]:
 class Laws:
     """Admissible laws as effects, which `learn` tries in addition to the library.
 
-    effects  by name, each in a file of its own
-    written  files that were not there before
+    effects  by name, each in its own file
+    written  files that are new
     """
 
     effects: dict[str, type[Effect]]
     written: tuple[Path, ...]
 
     def keep(self, used: Sequence[type[Effect]]) -> tuple[Path, ...]:
-        """Remove the files written that none of these effects is from; those of laws among them."""
-        theirs = tuple(
+        """Remove the new files of unused effects; returns the files of the used laws."""
+        used_files = tuple(
             e.file.path for e in used if e.file is not None and self.effects.get(e.name) is e
         )
-        for path in set(self.written) - set(theirs):
+        for path in set(self.written) - set(used_files):
             path.unlink()
-        return theirs
+        return used_files
 
 
 def laws_in(folder: Path, studies: Sequence[Study], known: Sequence[type[Effect]] = ()) -> Laws:
     """Laws that no effect of the library has, as files in a folder; existing files are kept.
 
     folder   of their files; a model may refer to them
-    studies  of where the cables have been
-    known    effects of the model: laws of their names are left out
-    raises   EffectError: a file there is no effect; ValueError: two have one name
+    studies  with the range of the cables' positions
+    known    effects of the model: laws with their names are omitted
+    raises   EffectError: a file there is no effect; ValueError: two effects have the same name
     """
     folder.mkdir(parents=True, exist_ok=True)
-    there: dict[str, type[Effect]] = {}
+    old: dict[str, type[Effect]] = {}
     files = sorted(folder.glob("*.py"))
     for file in files:
         effect = load_effect(file)
-        if effect.name in there:
-            other = there[effect.name].file
+        if effect.name in old:
+            first = old[effect.name].file
             raise ValueError(
-                f"{file}: is called {effect.name!r} as {other and other.path.name} is; rename one "
+                f"{file}: is called {effect.name!r} as {first and first.path.name} is; rename one "
                 "(`name = …` in its file)"
             )
-        there[effect.name] = effect
-    taken = {e.name for e in known}
+        old[effect.name] = effect
+    named = {e.name for e in known}
     # an old file has the term's name alone
-    written = {*there, *(f"{NAMESPACE}{name}" for name in there), *(p.stem for p in files), *taken}
+    written = {*old, *(f"{NAMESPACE}{name}" for name in old), *(p.stem for p in files), *named}
     terms = admissible(_box([t for study in studies for t in study.trials]))
     new = _each([t for t in terms if t.effect not in written], folder)
-    effects = {n: e for n, e in there.items() if n not in taken} | new
+    effects = {n: e for n, e in old.items() if n not in named} | new
     return Laws(effects, tuple(folder.resolve() / f"{n}.py" for n in new))
 
 
@@ -290,7 +290,7 @@ def _each(terms: Iterable[Term], folder: Path) -> dict[str, type[Effect]]:
 
 
 def _box(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
-    """Where the cable was seen in trials: x low, x high, y low, y high, m."""
-    seen = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in trials])
-    low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    """Bounding box of the observed markers in trials: x low, x high, y low, y high, m."""
+    points = np.concatenate([t.markers.xy_m.reshape(-1, 2) for t in trials])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])

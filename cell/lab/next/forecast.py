@@ -1,7 +1,7 @@
-"""Power: probability that a diagnosis finds a hidden effect, and the smallest size it finds.
+"""Power: probability that a diagnosis detects a hidden effect, and the smallest detectable size.
 
 A hidden effect changes the whitened residual by the part that the fitted parameters cannot imitate,
-which one fit without noise gives.  The scores of all effects are linear in that change and in the
+which one noise-free fit gives.  The scores of all effects are linear in that change and in the
 noise.  So the joint distribution of a diagnosis's test statistics is known.
 """
 
@@ -17,23 +17,23 @@ from cell.cable.arrays import FloatArray
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.sensitivity import changes, is_shape
-from cell.lab.next.asked import AskedEffect
-from cell.lab.next.decisions import Chances, Circumstances, Tests
-from cell.lab.next.hidden import left_of
+from cell.lab.next.decisions import Chances, StudyConstants, Tests
+from cell.lab.next.effect_query import EffectQuery
+from cell.lab.next.hidden import refit_residual
 from cell.lab.next.linear_study import LinearStudy, Sensitivities, own_sensitivities, rivals_of
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.verdict.smooth_part import smooth_part
 
-#: Power that the smallest size has.
+#: Power at the smallest size.
 POWER = 0.95
-#: Rounds in which the size is simulated anew, by how many times it may change in one, and when it
-#: is settled: it changes by less than this share.
+#: Most simulations of a size, the largest factor between two, and the relative change below which
+#: the size has converged.
 ROUNDS, MOST_AT_ONCE, NEARLY = 8, 10.0, 0.02
-#: Steps of the search for a size, and how far it goes from where it begins.
+#: Bisections of the search for a size, and its largest factor from the start.
 _HALVINGS, _FARTHEST = 30, 1e4
-#: Share by which a shape parameter is changed for its slope, of its range where it is 0.
+#: Relative step of a shape parameter for its derivative; of its range where it is 0.
 _BENT = 0.02
-#: Other effects that are told apart by draws: of the most collinear.
+#: Number of rivals in the draws, the most collinear ones.
 _RIVALS = 8
 
 
@@ -41,7 +41,7 @@ _RIVALS = 8
 class Alternative:
     """A rival of the hidden effect: an effect with a collinear signature.
 
-    correlation  of what both do to all trials, without what the parameters imitate
+    correlation  of both signatures in all trials, projected off the parameters
     """
 
     effect: str
@@ -55,10 +55,10 @@ Said = Literal["found", "confused", "missed", "undecided", "unexplained", "faile
 class CopyOutcome:
     """Result of the diagnosis of one copy of a study.
 
-    said   found: the effect is claimed, alone or in a tie, and nothing else; confused: another is
-           claimed; missed: the model is called complete; undecided: nothing is claimed;
-           unexplained: none explains it; failed: it could not be diagnosed
-    named  effects that are named, ties by ` or `; with `undecided` they are not claimed
+    said   result: found = the effect is claimed, alone or in a tie, and nothing else; confused =
+           another effect is claimed; missed = verdict complete; undecided = nothing is claimed;
+           unexplained = no effect explains the copy; failed = it could not be diagnosed
+    named  effects in the result, ties joined by ` or `; with `undecided` they are not claimed
     """
 
     said: Said
@@ -69,14 +69,14 @@ class CopyOutcome:
 class Recovery:
     """Results of the diagnoses of all copies.
 
-    asked  copies that were to be diagnosed
+    asked  number of requested copies
     """
 
     asked: int
     outcomes: tuple[CopyOutcome, ...]
 
     def count(self, *said: Said) -> int:
-        """Copies of which any of these is said."""
+        """Number of copies with any of these results."""
         return sum(o.said in said for o in self.outcomes)
 
     @property
@@ -85,21 +85,21 @@ class Recovery:
         hits, count = self.count("found"), len(self.outcomes)
         if not count:
             return float("nan"), 0.0, 1.0
-        from scipy.stats import binomtest  # takes half a second, which only `--verify` pays
+        from scipy.stats import binomtest  # import takes 0.5 s, for `--verify` only
 
-        sure = binomtest(hits, count).proportion_ci(method="wilson")
-        return hits / count, float(sure.low), float(sure.high)
+        bounds = binomtest(hits, count).proportion_ci(method="wilson")
+        return hits / count, float(bounds.low), float(bounds.high)
 
     @property
     def confused_with(self) -> tuple[tuple[str, int], ...]:
-        """What is claimed in its place, the most frequent first."""
+        """Effects claimed in its place with their counts, the most frequent first."""
         names = (" + ".join(o.named) for o in self.outcomes if o.said == "confused")
         return tuple(Counter(names).most_common())
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         share, low, high = self.share
-        said: tuple[Said, ...] = ("found", "undecided", "missed", "unexplained", "failed")
+        results: tuple[Said, ...] = ("found", "undecided", "missed", "unexplained", "failed")
         return {
             "copies": len(self.outcomes),
             "asked": self.asked,
@@ -107,7 +107,7 @@ class Recovery:
             "low": low,
             "high": high,
             "confused": dict(self.confused_with),
-            **{one: self.count(one) for one in said},
+            **{result: self.count(result) for result in results},
         }
 
 
@@ -115,15 +115,15 @@ class Recovery:
 class EffectPower:
     """Power of a study's diagnosis for one hidden effect: its forecast.
 
-    size      of the amplitude asked; None = none within its bounds has the power
-    chances   with an effect of this size
-    smallest  that is found with `POWER`; None = none within its bounds
+    size      of the amplitude; None = no size within its bounds has the power
+    chances   for an effect of this size
+    smallest  size detected with `POWER`; None = none within its bounds
     rivals    the most collinear effects, the nearest first
-    noncentrality   χ² that the effect adds to what the fitted model leaves of all trials
+    noncentrality   χ² that the effect adds to the residual of all trials
     recovery  results of copies with the effect hidden; None = there are none
     """
 
-    asked: AskedEffect
+    query: EffectQuery
     size: float | None
     chances: Chances | None
     smallest: float | None
@@ -134,9 +134,9 @@ class EffectPower:
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {
-            "effect": self.asked.effect.name,
-            "parameter": self.asked.parameter.name,
-            "unit": self.asked.parameter.unit,
+            "effect": self.query.effect.name,
+            "parameter": self.query.parameter.name,
+            "unit": self.query.parameter.unit,
             "size": self.size,
             "forecast": None if self.chances is None else self.chances.to_json(),
             "noncentrality": self.noncentrality,
@@ -146,27 +146,27 @@ class EffectPower:
         }
 
 
-def forecast(fits: FitCache, asked: AskedEffect, linear: LinearStudy) -> EffectPower:
-    """Forecast of the diagnosis with this effect hidden, and the smallest size that it names.
+def forecast(fits: FitCache, query: EffectQuery, linear: LinearStudy) -> EffectPower:
+    """Forecast of the diagnosis with this effect hidden, and the smallest detectable size.
 
     linear  the study near the baseline of `fits`
     """
-    at = SizeSearch(fits, asked, linear)
-    begin = asked.typical if asked.size is None else asked.size
-    smallest = at.smallest(begin)
-    size = smallest if asked.size is None else asked.size
-    found = at.tests(begin if size is None else size)
-    if found is None:
-        return EffectPower(asked, size, None, smallest, (), None)
-    tests, hidden, rivals = found
-    unlike = linear.project_out_all(hidden[None])[0]
+    search = SizeSearch(fits, query, linear)
+    begin = query.typical if query.size is None else query.size
+    smallest = search.smallest(begin)
+    size = smallest if query.size is None else query.size
+    tests_of = search.tests(begin if size is None else size)
+    if tests_of is None:
+        return EffectPower(query, size, None, smallest, (), None)
+    tests, hidden, rivals = tests_of
+    orthogonal = linear.project_out_all(hidden[None])[0]
     return EffectPower(
-        asked,
+        query,
         size,
         None if size is None else tests.chances(1.0),
         smallest,
         tuple(Alternative(s.effect.name, s.collinear) for s in rivals),
-        None if size is None else float(unlike @ unlike),
+        None if size is None else float(orthogonal @ orthogonal),
     )
 
 
@@ -175,108 +175,108 @@ class SizeSearch:
     """Search for the smallest size of an effect that a diagnosis finds."""
 
     fits: FitCache
-    asked: AskedEffect
+    query: EffectQuery
     linear: LinearStudy
 
     def tests(
         self, size: float, *, refitted: bool = True
     ) -> tuple[Tests, FloatArray, list[Sensitivities]] | None:
-        """With the change (rows,) that the effect makes, and its rivals; None if it shows nothing.
+        """Tests, change (rows,) by the effect, and rivals; None if it changes nothing measurable.
 
-        So too where it cannot be simulated so strong.
-        refitted  by what a fit leaves of the effect, and not by what slopes say that it leaves
+        None also where the cable cannot be simulated with this size.
+        refitted  change from a refit; False = by projection with the slopes
         """
-        linear, effect = self.linear, self.asked.effect
-        moved = self._changes(size)
-        if moved is None:
+        linear, effect = self.linear, self.query.effect
+        changed = self._changes(size)
+        if changed is None:
             return None
-        alone, shapes = moved
-        hidden = self._left(size) if refitted else alone
+        alone, shapes = changed
+        hidden = self._residual(size) if refitted else alone
         if hidden is None:
             return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
-        which = amplitudes.index(self.asked.parameter)
+        which = amplitudes.index(self.query.parameter)
         own = own_sensitivities(linear, effect, which, hidden, alone, shapes)
         if own is None:
             return None
-        known = {effect.name, *(e.name for e in self.fits.space.effects)}
-        others = [e for name, e in self.fits.library.items() if name not in known]
-        rivals = rivals_of(linear, hidden, others)[:_RIVALS]
-        given = self._circumstances(hidden)
-        return Tests.of(linear, hidden, own, rivals, given), hidden, rivals
+        in_model = {effect.name, *(e.name for e in self.fits.space.effects)}
+        library = [e for name, e in self.fits.library.items() if name not in in_model]
+        rivals = rivals_of(linear, hidden, library)[:_RIVALS]
+        constants = self._constants(hidden)
+        return Tests.of(linear, hidden, own, rivals, constants), hidden, rivals
 
     def _changes(self, size: float) -> tuple[FloatArray, FloatArray] | None:
-        """(rows,) by the effect, and (shape parameters, rows) by a little of each of its shapes."""
-        linear, effect = self.linear, self.asked.at(size)
+        """(rows,) change by the effect, and (shape parameters, rows) by a step of each shape."""
+        linear, effect = self.linear, self.query.at(size)
         values, shaped = effect.values, []
-        for i, p in enumerate(self.asked.effect.parameters):
+        for i, p in enumerate(self.query.effect.parameters):
             if is_shape(p):
                 step = _BENT * (abs(values[i]) or p.high - p.low)
-                bent = values[i] + (step if values[i] + step <= p.high else -step)
-                shaped.append(replace(effect, values=(*values[:i], bent, *values[i + 1 :])))
-        found = changes(linear.all_trials.prepared, linear.all_trials.fit, [effect, *shaped])
-        if not np.all(np.isfinite(found)):
+                perturbed = values[i] + (step if values[i] + step <= p.high else -step)
+                shaped.append(replace(effect, values=(*values[:i], perturbed, *values[i + 1 :])))
+        rows = changes(linear.all_trials.prepared, linear.all_trials.fit, [effect, *shaped])
+        if not np.all(np.isfinite(rows)):
             return None
-        return found[0], found[1:] - found[0]
+        return rows[0], rows[1:] - rows[0]
 
-    def _left(self, size: float) -> FloatArray | None:
+    def _residual(self, size: float) -> FloatArray | None:
         try:
-            return left_of(self.fits.prepared, self.fits.base.fit, self.asked.at(size))
+            return refit_residual(self.fits.prepared, self.fits.base.fit, self.query.at(size))
         except UNSIMULATED:
             return None
 
-    def _circumstances(self, hidden: FloatArray) -> Circumstances:
+    def _constants(self, hidden: FloatArray) -> StudyConstants:
         prepared, linear = self.fits.prepared, self.linear
-        hand, names = self.fits.gripper_log_error(), [t.name for t in prepared.study.trials]
-        errs = linear.all_trials.systematic_error
-        slow = smooth_part(prepared, self.fits.base.fit)
+        log_error, names = self.fits.gripper_log_error(), [t.name for t in prepared.study.trials]
+        systematic = linear.all_trials.systematic_error
+        smooth = smooth_part(prepared, self.fits.base.fit)
 
         def inflated(change: FloatArray) -> float:
-            by_trial = errs.by_trial(change)
-            return hand.inflation(dict(zip(names, by_trial, strict=True)))
+            by_trial = systematic.by_trial(change)
+            return log_error.inflation(dict(zip(names, by_trial, strict=True)))
 
-        return Circumstances(
+        return StudyConstants(
             library=len(self.fits.screened(self.fits.base)),
             fitted=prepared.count(fit_trials(prepared)),
             heldout=prepared.count(prepared.study.role("validate")),
             independent=prepared.noise_model.noise.effective_fraction,
             noise_m=prepared.expected.std_m,
-            slow=0.0 if slow is None else slow.count,
+            slow=0.0 if smooth is None else smooth.count,
             by_gripper_log=inflated(linear.project_out_fitted(hidden[None])[0]),
             by_gripper_log_heldout=inflated(linear.heldout(hidden[None])[0]),
         )
 
     def smallest(self, begin: float) -> float | None:
-        """The size from which the effect is found with `POWER`, searched from another size.
+        """The smallest size that is detected with `POWER`, searched from another size.
 
-        By slopes first, which is quick, and then by fits.
+        First by slopes, which is fast, then by fits.
         """
-        size = self._searched(begin, refitted=False)
-        return self._searched(begin if size is None else size, refitted=True)
+        size = self._search(begin, refitted=False)
+        return self._search(begin if size is None else size, refitted=True)
 
-    def _searched(self, begin: float, *, refitted: bool) -> float | None:
-        parameter = self.asked.parameter
+    def _search(self, begin: float, *, refitted: bool) -> float | None:
+        parameter = self.query.parameter
         from_off = begin - parameter.default
         limit = (parameter.high if from_off > 0.0 else parameter.low) - parameter.default
         at_limit = False
         for _ in range(ROUNDS):
-            found = self.tests(parameter.default + from_off, refitted=refitted)
-            times = None if found is None else _least_times(found[0])
-            if times is None or (at_limit and times > 1.0):
+            tests = self.tests(parameter.default + from_off, refitted=refitted)
+            factor = None if tests is None else _least_factor(tests[0])
+            if factor is None or (at_limit and factor > 1.0):
                 return None
-            from_off *= float(np.clip(times, 1.0 / MOST_AT_ONCE, MOST_AT_ONCE))
+            from_off *= float(np.clip(factor, 1.0 / MOST_AT_ONCE, MOST_AT_ONCE))
             at_limit = abs(from_off) > abs(limit)
             from_off = limit if at_limit else from_off
-            if abs(np.log(times)) < NEARLY:
+            if abs(np.log(factor)) < NEARLY:
                 break
         return float(parameter.default + from_off)
 
 
-def _least_times(tests: Tests) -> float | None:
-    """By how much the hidden change is to be larger, or smaller, to be found with `POWER`."""
+def _least_factor(tests: Tests) -> float | None:
+    """Factor on the hidden change with which it is detected with `POWER`; None if too large."""
 
-    def enough(times: float) -> bool:
-        return tests.chances(times).found >= POWER
+    def enough(factor: float) -> bool:
+        return tests.chances(factor).found >= POWER
 
     low, high = 1.0, 1.0
     while not enough(high):

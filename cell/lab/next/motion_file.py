@@ -19,7 +19,7 @@ from cell.settings.section import Angle, Finite, Section
 from cell.settings.translate import arm_limits_of, pose_from_home
 from drivers.interfaces import Pose
 
-#: A pose may exceed its limit by so much, m or rad: a file has its numbers in micrometres.
+#: Tolerance of a pose's limits, m or rad: numbers in a file are rounded to micrometres.
 ROUNDING = 1e-6
 
 Duration = Annotated[float, Field(gt=0.0, le=60.0, allow_inf_nan=False)]
@@ -85,7 +85,7 @@ def load_motion(path: Path, settings: Settings) -> Measuring:
 def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
     """Name of the motion in a YAML file, and the gripper's pose; no cell's limits are checked.
 
-    home    x and y from which the file's are given, m
+    home    x and y of the file's origin, m
     raises  InputError: every mistake, each with file, line, column, key, value, limit, remedy
     """
     document = read_yaml(path)
@@ -95,14 +95,14 @@ def hand_motion(path: Path, home: tuple[float, float]) -> tuple[str, Motion]:
     poses = [Pose(home[0] + p.x_m, home[1] + p.y_m, p.angle_rad) for p in (
         motion.start, *motion.moves)]  # fmt: skip
     moves = [Move(pose, m.duration_s) for pose, m in zip(poses[1:], motion.moves, strict=True)]
-    way = measuring_path(poses[0], moves, RATE_HZ)
+    move = measuring_path(poses[0], moves, RATE_HZ)
     step_s = 1.0 / RATE_HZ
     before = np.arange(0.0, motion.still_s, step_s)
     after = np.arange(step_s, motion.hold_s, step_s)
-    t_s = np.concatenate([before, before[-1] + step_s + way.t_s])
+    t_s = np.concatenate([before, before[-1] + step_s + move.t_s])
     t_s = np.concatenate([t_s, t_s[-1] + after])
     around = len(before), len(after)
-    values = (np.pad(v, around, mode="edge") for v in (way.x_m, way.y_m, way.angle_rad))
+    values = (np.pad(v, around, mode="edge") for v in (move.x_m, move.y_m, move.angle_rad))
     return path.stem, Motion(t_s, *values)
 
 
@@ -115,11 +115,11 @@ def _name(document: Document) -> list[Problem]:
 
 
 def _within_limits(document: Document, motion: MotionFile, settings: Settings) -> list[Problem]:
-    """Every pose inside the box; strokes are straight, so that what lies between is inside too."""
+    """Problems of poses outside the box; moves are straight, so that their ends are sufficient."""
     problems = []
     keys = [("start",), *(("moves", i) for i in range(len(motion.moves)))]
-    for key, given in zip(keys, [motion.start, *motion.moves], strict=True):
-        pose = pose_from_home(settings, *given.place)
+    for key, stated in zip(keys, [motion.start, *motion.moves], strict=True):
+        pose = pose_from_home(settings, *stated.place)
         for axis in ("x_m", "y_m", "angle_rad"):
             value = getattr(pose, axis)
             low, high = getattr(settings.limits, axis)
@@ -133,7 +133,7 @@ def _within_limits(document: Document, motion: MotionFile, settings: Settings) -
 
 
 def _slow_enough(document: Document, motion: MotionFile, settings: Settings) -> list[Problem]:
-    """Every move long enough for the cell's limits along the plane, and the guard's of turning."""
+    """Problems of moves too short for the cell's limits in the plane, or the guard's of turning."""
     arm = arm_limits_of(settings)
     straight = (arm.max_speed_m_per_s, arm.max_acceleration_m_per_s2, arm.max_jerk_m_per_s3)
     turning = (
@@ -142,17 +142,17 @@ def _slow_enough(document: Document, motion: MotionFile, settings: Settings) -> 
         arm.max_angular_jerk_rad_per_s3,
     )
     problems = []
-    here: MotionPose = motion.start
+    pose: MotionPose = motion.start
     for i, move in enumerate(motion.moves):
-        way_m = float(np.hypot(move.x_m - here.x_m, move.y_m - here.y_m))
-        turn_rad = abs(move.angle_rad - here.angle_rad)
-        least_s = max(least_duration_s(way_m, straight), least_duration_s(turn_rad, turning))
+        distance_m = float(np.hypot(move.x_m - pose.x_m, move.y_m - pose.y_m))
+        turn_rad = abs(move.angle_rad - pose.angle_rad)
+        least_s = max(least_duration_s(distance_m, straight), least_duration_s(turn_rad, turning))
         if move.duration_s < least_s:
             message = (
-                f"{move.duration_s:g} s is too short for {way_m * 1e3:g} mm and {turn_rad:g} rad "
-                "within the cell's limits of speed, acceleration and jerk; give at least "
+                f"{move.duration_s:g} s is too short for {distance_m * 1e3:g} mm and {turn_rad:g} "
+                "rad within the cell's limits of speed, acceleration and jerk; give at least "
                 f"{np.ceil(least_s * 1e3) / 1e3:g} s"
             )
             problems.append(document.problem(("moves", i, "duration_s"), message))
-        here = move
+        pose = move
     return problems

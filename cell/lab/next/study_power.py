@@ -1,4 +1,4 @@
-"""The power of a study: what its diagnosis would find of effects that are not in it, as data."""
+"""The power of a study: would its diagnosis detect effects that are hidden in it?"""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cell.files.plain import plain
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import NoiseUnknownError
-from cell.lab.data.prepared import ERRS, PreparedStudy
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose
-from cell.lab.next.asked import AskedEffect
+from cell.lab.next.effect_query import EffectQuery
 from cell.lab.next.forecast import POWER, CopyOutcome, EffectPower, Recovery, Said, forecast
 from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import LinearStudy
@@ -35,7 +35,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class _CopyDiagnosed:
-    """What the diagnosis of a copy of a study says, by the copy's number."""
+    """Callable: result of the diagnosis of a copy of a study, by the copy's number."""
 
     world: HiddenEffectWorld
     space: ParameterSpace
@@ -45,7 +45,7 @@ class _CopyDiagnosed:
     name: str
 
     def __call__(self, number: int) -> CopyOutcome:
-        """Each copy has the budget of a diagnosis."""
+        """Diagnose one copy, with the budget of a diagnosis."""
         work = Work(DIAGNOSIS)
         try:
             prepared = PreparedStudy.of(self.world.copy(number), solver=self.solver, work=work)
@@ -54,11 +54,11 @@ class _CopyDiagnosed:
             )
             with work.stage("prepare"):
                 copy = FitCache.of(setup)
-            said = judged(diagnose(copy).diagnosis, self.name)
+            outcome = copy_outcome(diagnose(copy).diagnosis, self.name)
         except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
             _LOG.info("copy %d: %s", number, error)
-            said = CopyOutcome("failed")
-        return said
+            outcome = CopyOutcome("failed")
+        return outcome
 
 
 def recover(
@@ -71,11 +71,11 @@ def recover(
 ) -> Recovery:
     """Diagnose copies of a study with a hidden effect; returns their results.
 
-    Interrupted, it has those that were diagnosed.
+    If interrupted, the results so far.
 
     fits      the study with its baseline; copies are diagnosed with the same library
-    first     number of the first copy: other numbers, other noise
-    executor  who diagnoses; None = all cores of this computer
+    first     number of the first copy, the seed of its noise
+    executor  of the diagnoses; None = all cores of this computer
     raises    UnsimulatedError: the cable cannot be simulated with the effect
     """
     name = hidden.effect.name
@@ -103,15 +103,15 @@ def recover(
     return Recovery(copies, tuple(outcomes))
 
 
-def judged(diagnosis: Diagnosis, name: str) -> CopyOutcome:
-    """Whether a diagnosis names the hidden effect `name`."""
+def copy_outcome(diagnosis: Diagnosis, name: str) -> CopyOutcome:
+    """Result of a copy: whether its diagnosis claims the hidden effect `name`."""
     named = [(m.effect, *m.tied_with) for m in diagnosis.missing]
-    words = tuple(" or ".join(names) for names in named)
+    texts = tuple(" or ".join(names) for names in named)
     if diagnosis.verdict == "missing":
         alone = len(named) == 1 and name in named[0]
-        return CopyOutcome("found" if alone else "confused", words)
-    said: dict[str, Said] = {"complete": "missed", "cannot_tell": "undecided"}
-    return CopyOutcome(said.get(diagnosis.verdict, "unexplained"), words)
+        return CopyOutcome("found" if alone else "confused", texts)
+    results: dict[str, Said] = {"complete": "missed", "cannot_tell": "undecided"}
+    return CopyOutcome(results.get(diagnosis.verdict, "unexplained"), texts)
 
 
 FORMAT = "cable-power/1"
@@ -144,54 +144,54 @@ class StudyPower:
 
 def power_of(
     fits: FitCache,
-    asked: Sequence[AskedEffect],
+    queries: Sequence[EffectQuery],
     copies: int = 0,
     progress: Progress = no_progress,
     executor: Executor | None = None,
 ) -> StudyPower:
     """The power of a study's diagnosis for each effect, if it were hidden in the study.
 
-    copies    that are made and diagnosed with each, to compare with the forecast
-    executor  who diagnoses them; None = all cores of this computer
-    raises    ValueError: the study cannot be fitted; UnsimulatedError: nor simulated
+    copies    number of copies diagnosed with each, to compare with the forecast
+    executor  of their diagnoses; None = all cores of this computer
+    raises    ValueError: the study cannot be fitted; UnsimulatedError
     """
     base = fits.base
     check_model(fits)
     progress("what the trials show of the parameters")
     linear = LinearStudy.of(fits.prepared, base.fit)
-    found = []
-    for number, effect in enumerate(asked):
-        progress(f"what the trials show of {effect.effect.name}", number, len(asked))
-        found.append(forecast(fits, effect, linear))
+    powers = []
+    for number, effect in enumerate(queries):
+        progress(f"what the trials show of {effect.effect.name}", number, len(queries))
+        powers.append(forecast(fits, effect, linear))
         fits.work.renew()
     if copies:
-        for i, one in enumerate(found):
-            if (size := one.size) is not None:
-                hidden = one.asked.at(size)
-                tried = recover(fits, hidden, copies, progress, executor=executor)
-                found[i] = replace(one, recovery=tried)
+        for i, power in enumerate(powers):
+            if (size := power.size) is not None:
+                hidden = power.query.at(size)
+                recovery = recover(fits, hidden, copies, progress, executor=executor)
+                powers[i] = replace(power, recovery=recovery)
     noise_m = fits.prepared.noise_model.noise.std_m
-    return StudyPower(fits.prepared.study.name, noise_m, tuple(found), _doubts(fits))
+    return StudyPower(fits.prepared.study.name, noise_m, tuple(powers), _doubts(fits))
 
 
 def _doubts(fits: FitCache) -> tuple[Doubt, ...]:
-    """Why power may be other than it is said to be."""
-    prepared, found = fits.prepared, []
+    """Warnings of a power that may differ from the forecast."""
+    prepared, warnings = fits.prepared, []
     if not Independence.of(prepared.study).held_out:
-        found.append(
+        warnings.append(
             Doubt(
                 "confirmation",
                 "no trial of another motion is held out, and a diagnosis claims only what such a "
                 "trial confirms; mark one with another motion `role: validate`",
             )
         )
-    over = fits.base.fit.rms_m / prepared.expected_m("fit")
-    if over > ERRS:
-        found.append(
+    ratio = fits.base.fit.rms_m / prepared.expected_m("fit")
+    if ratio > ERROR_RATIO:
+        warnings.append(
             Doubt(
                 "misfit",
-                f"the fitted model leaves {over:.2g} times the noise, and power is forecast with "
+                f"the fitted model leaves {ratio:.2g} times the noise, and power is forecast with "
                 "the noise alone; add what the study lacks with --with",
             )
         )
-    return tuple(found)
+    return tuple(warnings)

@@ -24,8 +24,8 @@ from cell.identify.whitener import Whitener
 from cell.lab.data.prepared import PreparedStudy, whiteners_of
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Rival
-from cell.lab.fit.heldout import predict_whole_cable
-from cell.lab.next.asked import AskedEffect
+from cell.lab.fit.heldout import predict_cable
+from cell.lab.next.effect_query import EffectQuery
 from cell.lab.next.planned import planned_trials
 from cell.lab.next.suggestion import TURN_RAD, Option, Stroke, Suggestion, strokes
 from cell.lab.search.fit_cache import FitCache
@@ -35,77 +35,77 @@ from cell.lab.verdict.doubts import check_model
 from cell.settings.surroundings import Surroundings, Swept
 from cell.study.data import Markers, Trial
 
-#: χ² by which one candidate must beat the other to be believed; as `Rules.tie_delta_chi2`.
+#: χ² difference that decides between two candidates; as `Rules.tie_delta_chi2`.
 DECIDED = 9.0
-#: A motion that decides no oftener than this is not suggested: cable and time are better spent.
+#: A motion with at most this power is not suggested.
 NO_POWER = 0.05
-#: Repetitions of a motion that are worth naming, at most.
+#: Most repetitions of a motion that are proposed.
 MOST_REPEATED = 100
-#: Motions that a line is asked for, one after another, at most; and how likely one must decide, to
-#: be worth a cable.
-MOST_ASKED, WORTH_ASKING_POWER = 2, 0.5
-#: More candidates than these are not told apart by one motion.
+#: Most motions requested from a line, one after another; smallest power of a motion that is worth a
+#: cable.
+MOST_REQUESTED, WORTH_REQUESTING_POWER = 2, 0.5
+#: Most candidates that one motion can distinguish.
 MOST_CANDIDATES = 4
-#: The cable is taken to be within so many standard deviations of its prediction.
+#: Safety margin about the predicted cable, in standard deviations.
 SURELY = 3.0
-#: Error of a prediction beyond its standard deviation: what the candidates lack, m.
+#: Error of a prediction by effects that all candidates lack, m.
 MODEL_ERROR_M = 0.001
-#: The cable is looked at this often at least, s, however slow the camera: between two looks it
-#: turns back within a fifth of `MODEL_ERROR_M`.
-LOOK_S = 1.0 / 60.0
+#: Largest time step of the safety check, s, independent of the camera's frame rate: between two
+#: samples the cable may turn back by a fifth of `MODEL_ERROR_M`.
+SAFETY_STEP_S = 1.0 / 60.0
 
 
 def suggest_motion(examination: Examination, surroundings: Surroundings) -> Suggestion:
     """The safe motion at which the remaining candidates differ most, given their free parameters.
 
-    Each candidate may move within what the trials so far leave uncertain of it; what then still
-    separates their markers, in standard deviations squared, is the separation.
-    raises  ValueError: nothing is left to tell apart, no motion keeps the limits, or none tells
+    The separation is the χ² between the candidates' markers after each has been adapted within the
+    covariance of its parameters from the trials so far.
+    raises  ValueError: a single candidate, no motion within the limits, or none that distinguishes
     """
     fits = examination.fits
-    open_to = [_rival(model) for model in rivals(examination)]
-    found = distinguishing_motions(fits.prepared, open_to, surroundings, fits.progress)
-    return worth_a_cable(found, fits.prepared)
+    candidates = [_rival(model) for model in rivals(examination)]
+    suggestion = distinguishing_motions(fits.prepared, candidates, surroundings, fits.progress)
+    return worth_a_cable(suggestion, fits.prepared)
 
 
-def worth_a_cable(found: Suggestion, prepared: PreparedStudy) -> Suggestion:
+def worth_a_cable(suggestion: Suggestion, prepared: PreparedStudy) -> Suggestion:
     """The suggestion, if a motion is likely to decide.  Raises ValueError with a remedy."""
-    if max(option.power for option in found.options) < NO_POWER:
-        raise ValueError(_what_would_help(found, prepared))
-    return found
+    if max(option.power for option in suggestion.options) < NO_POWER:
+        raise ValueError(_no_motion_text(suggestion, prepared))
+    return suggestion
 
 
 def worth_measuring(suggestion: Suggestion) -> Option | None:
     """The motion to request from a line; None = no motion is likely to decide."""
     best = suggestion.options[0]
-    return best if best.power >= WORTH_ASKING_POWER else None
+    return best if best.power >= WORTH_REQUESTING_POWER else None
 
 
-def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
-    """That no motion tells the candidates apart, how far the best is from it, and what helps.
+def _no_motion_text(suggestion: Suggestion, prepared: PreparedStudy) -> str:
+    """Error text: no motion distinguishes the candidates; separation of the best, and remedies.
 
     Separation grows with the number of repetitions, and with the inverse square of the noise.
     """
-    best = found.options[0]
-    lacking = DECIDED / max(best.separation, 1e-12)
+    best = suggestion.options[0]
+    times = DECIDED / max(best.separation, 1e-12)
     noise_mm = prepared.noise.std_m * 1e3
     helps = []
-    if lacking <= MOST_REPEATED:
-        helps.append(f"the best one {counted(int(np.ceil(lacking)), 'time')} over, each as a trial")
-    if lacking <= MOST_REPEATED**2:
-        helps.append(f"noise of {noise_mm / np.sqrt(lacking):.2g} mm instead of {noise_mm:.2g} mm")
-    if refused := sum(found.refused.values()):
-        wider = ", ".join(f"{count} for the {why}" for why, count in found.refused.items())
+    if times <= MOST_REPEATED:
+        helps.append(f"the best one {counted(int(np.ceil(times)), 'time')} over, each as a trial")
+    if times <= MOST_REPEATED**2:
+        helps.append(f"noise of {noise_mm / np.sqrt(times):.2g} mm instead of {noise_mm:.2g} mm")
+    if refused := sum(suggestion.refused.values()):
+        reasons = ", ".join(f"{count} for the {why}" for why, count in suggestion.refused.items())
         helps.append(
             f"room for the {counted(refused, 'motion that was', 'motions that were')} "
-            f"refused, {wider}"
+            f"refused, {reasons}"
         )
     helps.append(
         "measuring what sets them apart in another way (weigh the cable, look at the jaws)"
     )
-    first, *others = found.candidates
+    first, *rivals = suggestion.candidates
     return (
-        f"study {prepared.study.name}: no safe motion tells {first} from {' or '.join(others)}; "
+        f"study {prepared.study.name}: no safe motion tells {first} from {' or '.join(rivals)}; "
         f"the best, {best.motion.describe()}, decides with probability {best.power:.2f} "
         f"(separation χ² {best.separation:.2g}, {DECIDED:g} are needed). "
         f"What would help: {'; '.join(helps)}"
@@ -114,28 +114,28 @@ def _what_would_help(found: Suggestion, prepared: PreparedStudy) -> str:
 
 def distinguishing_motions(
     prepared: PreparedStudy,
-    open_to: Sequence[Rival],
+    candidates: Sequence[Rival],
     surroundings: Surroundings,
     progress: Progress = no_progress,
 ) -> Suggestion:
     """The safe motions at which these models differ most, given their free parameters.
 
-    Interrupted, it has the best of those that were looked at.
+    If interrupted, the best of those evaluated so far.
 
-    prepared  noise and markers of what will be measured
+    prepared  noise and markers of the planned measurement
     raises    ValueError: no motion keeps the limits; KeyboardInterrupt: before there was one
     """
-    models = [c.model for c in open_to]
+    models = [c.model for c in candidates]
     options, refused = [], Counter[str]()
-    rest: dict[float, float] = {}
-    offered = strokes(surroundings)
+    rest_low_m: dict[float, float] = {}
+    tried = strokes(surroundings)
     try:
-        for done, stroke in enumerate(offered):
-            progress("looking for a motion", done, len(offered))
+        for done, stroke in enumerate(tried):
+            progress("looking for a motion", done, len(tried))
             angle = stroke.angle_rad
-            if angle not in rest:
-                rest[angle] = _rest_low_m(prepared, models, surroundings, angle)
-            option = _weighed(prepared, open_to, stroke, surroundings, rest[angle])
+            if angle not in rest_low_m:
+                rest_low_m[angle] = _rest_low_m(prepared, models, surroundings, angle)
+            option = _evaluated(prepared, candidates, stroke, surroundings, rest_low_m[angle])
             if isinstance(option, str):
                 refused[option] += 1
             else:
@@ -150,16 +150,16 @@ def distinguishing_motions(
             "widen limits, or let the camera see more"
         )
     options.sort(key=lambda o: -o.separation)
-    names = tuple(c.name for c in open_to)
+    names = tuple(c.name for c in candidates)
     return Suggestion(names, tuple(options), surroundings, dict(refused))
 
 
 def rivals(examination: Examination) -> list[FittedModel]:
     """The likeliest set of effects, and those that the trials cannot distinguish from it.
 
-    If it has no equal, the next likeliest that is not the same with more: one, or several where
-    nothing could be confirmed on held-out trials.
-    raises  ValueError: there is nothing to tell apart
+    Without ties, the next likeliest that is not an extension of it: one, or several if nothing was
+    confirmed on held-out trials.
+    raises  ValueError: there is nothing to distinguish
     """
     diagnosis, fits, final = examination.diagnosis, examination.fits, examination.path[-1]
     if diagnosis.verdict == "complete":
@@ -167,16 +167,16 @@ def rivals(examination: Examination) -> list[FittedModel]:
             f"study {fits.prepared.study.name}: the model explains these trials to their "
             "noise, use it as it is; nothing to tell apart"
         )
-    known = {c.names: c for c in (*fits.known(), *examination.singles, *examination.path)}
+    fitted = {c.names: c for c in (*fits.known(), *examination.singles, *examination.path)}
     tied = [
-        known[names]
-        for found in diagnosis.missing
-        for other in found.tied_with
-        if (names := final.names - {found.effect} | {other}) in known
+        fitted[names]
+        for effect in diagnosis.missing
+        for rival in effect.tied_with
+        if (names := final.names - {effect.effect} | {rival}) in fitted
     ]
     if tied:
         return [final, *tied[: MOST_CANDIDATES - 1]]
-    best = sorted(known.values(), key=lambda c: -c.evidence)
+    best = sorted(fitted.values(), key=lambda c: -c.evidence)
     if diagnosis.missing:
         best = [final, *(c for c in best if not c.names >= final.names)]
     if len(best) < 2:
@@ -187,38 +187,38 @@ def rivals(examination: Examination) -> list[FittedModel]:
     return best[: MOST_CANDIDATES if diagnosis.verdict == "cannot_tell" else 2]
 
 
-def _weighed(
+def _evaluated(
     prepared: PreparedStudy,
     candidates: Sequence[Rival],
     stroke: Stroke,
     surroundings: Surroundings,
     rest_low_m: float,
 ) -> Option | str:
-    """A stroke from where it is safe, and what it tells; or what it is refused for."""
-    # The likeliest cable shows quickly where the stroke could begin, if anywhere.
-    known, trial = _trial(prepared, stroke, surroundings)
-    (shown,), cable = _looked_at(known, trial, [candidates[0].model])
+    """A stroke from a safe start with its separation and power; or the reason of its refusal."""
+    # The likeliest cable gives a first start quickly, if there is any.
+    planned, trial = _trial(prepared, stroke, surroundings)
+    (predicted,), cable = _predicted(planned, trial, [candidates[0].model])
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
         return start
-    whitener = whitener_of_planned(known, trial, shown)
+    whitener = whitener_of_planned(planned, trial, predicted)
     trial = replace(trial, grip=start.motion())
-    views, cables, spreads = [], [], []
+    predictions, cables, spreads = [], [], []
     for candidate in candidates:
-        view, cable, spread = _open(known, candidate, trial, whitener)
-        views.append(view)
+        prediction, cable, spread = _prediction_of(planned, candidate, trial, whitener)
+        predictions.append(prediction)
         cables.append(cable)
         spreads.append(SURELY * spread + MODEL_ERROR_M)
-    if not all(np.isfinite(v).all() for view in views for v in view):
+    if not all(np.isfinite(v).all() for prediction in predictions for v in prediction):
         return "simulation"
-    sure = _start(start, np.stack(cables), np.stack(spreads), surroundings, rest_low_m)
-    if isinstance(sure, str):
-        return sure
-    apart = [_separation(views[0], other) for other in views[1:]]
-    missed = [normal_cdf((DECIDED - s) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in apart]
-    hardest = int(np.argmin(apart))
+    safe = _start(start, np.stack(cables), np.stack(spreads), surroundings, rest_low_m)
+    if isinstance(safe, str):
+        return safe
+    chi2 = [_separation(predictions[0], other) for other in predictions[1:]]
+    errors = [normal_cdf((DECIDED - s) / (2.0 * np.sqrt(max(s, 1e-12)))) for s in chi2]
+    hardest = int(np.argmin(chi2))
     return Option(
-        sure, apart[hardest], candidates[1 + hardest].name, float(max(0.0, 1.0 - sum(missed)))
+        safe, chi2[hardest], candidates[1 + hardest].name, float(max(0.0, 1.0 - sum(errors)))
     )
 
 
@@ -229,9 +229,9 @@ def _start(
     surroundings: Surroundings,
     rest_low_m: float,
 ) -> Stroke | str:
-    """The stroke from the place nearest to home at which all of it is safe; or what forbids it.
+    """The stroke from the safe start nearest to home; or the limit that forbids it.
 
-    cable_m, spread_m  (models, times, points, 2) of the cable, and by which it may be elsewhere
+    cable_m, spread_m  (models, times, points, 2) of the cable, and its uncertainty
     """
     if not np.isfinite(cable_m).all():
         return "simulation"
@@ -260,8 +260,8 @@ def _rest_low_m(
         blank = Markers(t_s, np.zeros((len(t_s), len(prepared.study.arc_length_m), 2)))
         trial = Trial("rest", "validate", "equilibrium", motion, blank)
         for model in models:
-            rest_m = predict_whole_cable(prepared, trial, [model])[1][..., 0]
-            if not np.isfinite(rest_m).all():  # where it rests is not known: as far as it reaches
+            rest_m = predict_cable(prepared, trial, [model])[1][..., 0]
+            if not np.isfinite(rest_m).all():  # unknown: its full length
                 return -prepared.study.cable.length_m
             low = min(low, float(rest_m.min()))
     return low - MODEL_ERROR_M
@@ -270,66 +270,66 @@ def _rest_low_m(
 def _trial(
     prepared: PreparedStudy, stroke: Stroke, surroundings: Surroundings
 ) -> tuple[PreparedStudy, Trial]:
-    """A stroke as a trial that is not recorded yet, and the study that knows of it."""
+    """A stroke as a planned trial, and the study with that trial's wrench."""
     rate_hz = surroundings.frame_rate_hz
     frame_s = None if rate_hz is None else 1.0 / rate_hz
-    known, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
-    return known, trial
+    planned, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
+    return planned, trial
 
 
-def _looked_at(
+def _predicted(
     prepared: PreparedStudy, trial: Trial, models: Sequence[CableModel]
 ) -> tuple[FloatArray, FloatArray]:
-    """What models show in the trial's frames, and their cables, as often as is safe.
+    """Predicted markers in the trial's frames, and cables at the times of the safety check.
 
     returns  (models, times, markers, 2) and (models, more times, points, 2), m
     """
-    shown, cable = predict_whole_cable(prepared, trial, models)
-    t_s, hand_s = trial.markers.t_s, trial.grip.t_s
-    if np.diff(t_s).max(initial=0.0) <= LOOK_S * (1.0 + 1e-9):
-        return shown, cable
-    count = int(np.ceil((hand_s[-1] - hand_s[0]) / LOOK_S)) + 1
-    often_s = np.union1d(t_s, np.linspace(hand_s[0], hand_s[-1], count))
-    blank = Markers(often_s, np.zeros((len(often_s), len(prepared.study.arc_length_m), 2)))
-    often = replace(trial, markers=blank, row_means=None)
-    return shown, predict_whole_cable(prepared, often, models)[1]
+    markers, cable = predict_cable(prepared, trial, models)
+    t_s, grip_s = trial.markers.t_s, trial.grip.t_s
+    if np.diff(t_s).max(initial=0.0) <= SAFETY_STEP_S * (1.0 + 1e-9):
+        return markers, cable
+    count = int(np.ceil((grip_s[-1] - grip_s[0]) / SAFETY_STEP_S)) + 1
+    check_s = np.union1d(t_s, np.linspace(grip_s[0], grip_s[-1], count))
+    blank = Markers(check_s, np.zeros((len(check_s), len(prepared.study.arc_length_m), 2)))
+    checked = replace(trial, markers=blank, row_means=None)
+    return markers, predict_cable(prepared, checked, models)[1]
 
 
-def whitener_of_planned(prepared: PreparedStudy, trial: Trial, shown_m: FloatArray) -> Whitener:
-    """The whitener of a trial that is not recorded yet.
+def whitener_of_planned(prepared: PreparedStudy, trial: Trial, expected_m: FloatArray) -> Whitener:
+    """The whitener of a planned trial.
 
-    shown_m  (times, points, 2) what it will show by and large: where arc lengths move the markers,
-             and what a gain changes of a wrench
+    expected_m  (times, points, 2) approximate positions, for uncertain arc lengths of markers and
+                the gain of a wrench
     """
-    xy_m = np.where(np.isfinite(trial.markers.xy_m), shown_m, np.nan)
-    shown = replace(trial, markers=replace(trial.markers, xy_m=xy_m))
-    study = replace(prepared.study, trials=(shown,))
+    xy_m = np.where(np.isfinite(trial.markers.xy_m), expected_m, np.nan)
+    expected = replace(trial, markers=replace(trial.markers, xy_m=xy_m))
+    study = replace(prepared.study, trials=(expected,))
     return whiteners_of(study, prepared.noise, prepared.gauges)[trial.name]
 
 
-def _open(
+def _prediction_of(
     prepared: PreparedStudy, candidate: Rival, trial: Trial, whitener: Whitener
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
-    """What a candidate predicts, and how far the trials so far leave that open.
+    """Prediction of a candidate, and its uncertainty given the trials so far.
 
-    returns  (whitened markers and wrench (rows,), their open directions (rows, parameters)); the
+    returns  (whitened markers and wrench (rows,), root of covariance (rows, parameters)); the
              cable and its standard deviation, (times, points, 2), m
     """
     space, q = candidate.space, candidate.q
     step = space.difference_steps(q, candidate.covariance)
     lanes = [space.model(row) for row in difference_points(q, step)]
-    markers, cable = _looked_at(prepared, trial, lanes)
+    markers, cable = _predicted(prepared, trial, lanes)
     root = covariance_root(candidate.covariance)
     rows = whitener(markers)
-    open_rows = ((rows[1:] - rows[0]).T / step) @ root
+    uncertain = ((rows[1:] - rows[0]).T / step) @ root
     moves = np.tensordot(root.T / step, cable[1:] - cable[0], axes=1)
-    return (rows[0], open_rows), cable[0], np.sqrt(np.sum(moves**2, axis=0))
+    return (rows[0], uncertain), cable[0], np.sqrt(np.sum(moves**2, axis=0))
 
 
 def _separation(
     first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
 ) -> float:
-    """χ² between two candidates that neither's open directions can remove."""
+    """χ² between the predictions of two candidates, given their uncertainties."""
     return marginal_chi2(first[0] - second[0], np.hstack([first[1], second[1]]))[0]
 
 
@@ -342,40 +342,40 @@ def split_effects(effects: Sequence[str]) -> tuple[list[str], list[str]]:
     """Effects to design a motion for, and files of effects to try with the library.
 
     effects  NAME, NAME=SIZE, file.py=SIZE: of the first kind; file.py: of the second
-    raises   ValueError: both kinds are given
+    raises   ValueError: effects of both kinds
     """
-    tried = [given for given in effects if given.endswith(".py")]
-    asked = [given for given in effects if not given.endswith(".py")]
-    if asked and tried:
+    tried = [effect for effect in effects if effect.endswith(".py")]
+    queried = [effect for effect in effects if not effect.endswith(".py")]
+    if queried and tried:
         raise ValueError(
-            f"--try {tried[0]}: is tried with the library, but {asked[0]} asks for a motion "
+            f"--try {tried[0]}: is tried with the library, but {queried[0]} asks for a motion "
             f"that shows it; give {tried[0]}=SIZE for a motion that shows both, or leave one out"
         )
-    return asked, tried
+    return queried, tried
 
 
 def showing_motion(
-    fits: FitCache, asked: Sequence[AskedEffect], surroundings: Surroundings
+    fits: FitCache, queries: Sequence[EffectQuery], surroundings: Surroundings
 ) -> Suggestion:
     """The safe motion with the largest change by these effects that the model cannot imitate.
 
-    An effect of which no size is given has its typical one.
-    raises  ValueError: the study cannot be fitted, no motion keeps the limits, or none shows them
+    An effect without a size has its typical one.
+    raises  ValueError: the study cannot be fitted, no motion within the limits, or none shows them
     """
     base = fits.base
     check_model(fits)
     without = _rival(base)
-    models = [without, *(_with(without, one) for one in asked)]
-    found = distinguishing_motions(fits.prepared, models, surroundings, fits.progress)
-    return worth_a_cable(found, fits.prepared)
+    models = [without, *(_with(without, query) for query in queries)]
+    suggestion = distinguishing_motions(fits.prepared, models, surroundings, fits.progress)
+    return worth_a_cable(suggestion, fits.prepared)
 
 
-def _with(rival: Rival, asked: AskedEffect) -> Rival:
-    """The same with an effect whose size is known, so that only the cable's parameters are open."""
-    parameter = asked.parameter
-    size = asked.typical if asked.size is None else asked.size
-    name = f"{asked.effect.name} ({parameter.name} {size:.3g}{after_number(parameter.unit)})"
-    names = (f"{asked.effect.name}.{p.name}" for p in asked.effect.parameters)
-    held = tuple(zip(names, asked.at(size).values, strict=True))
-    effects, exact = (*rival.space.effects, asked.effect), (*rival.space.exact, *held)
+def _with(rival: Rival, query: EffectQuery) -> Rival:
+    """The rival with an effect of known size: only the cable's parameters are uncertain."""
+    parameter = query.parameter
+    size = query.typical if query.size is None else query.size
+    name = f"{query.effect.name} ({parameter.name} {size:.3g}{after_number(parameter.unit)})"
+    names = (f"{query.effect.name}.{p.name}" for p in query.effect.parameters)
+    held = tuple(zip(names, query.at(size).values, strict=True))
+    effects, exact = (*rival.space.effects, query.effect), (*rival.space.exact, *held)
     return replace(rival, name=name, space=replace(rival.space, effects=effects, exact=exact))

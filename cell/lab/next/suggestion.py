@@ -26,7 +26,7 @@ STROKES_M = (
 
 
 SLOWNESS = (1.0, 1.6)
-#: Between home and the clamp angle of a stroke, the resting cable is looked at this often, rad.
+#: Step, rad, of the clamp angle between home and stroke at which the resting cable is checked.
 TURN_RAD = np.radians(15.0)
 
 
@@ -42,7 +42,7 @@ class Stroke:
     y_m: float = 0.0
 
     def describe(self) -> str:
-        """For a person."""
+        """Text of the stroke."""
         return (
             f"clamp at {np.degrees(self.angle_rad):.0f}°, from ({self.x_m * 1e3:.0f}, "
             f"{self.y_m * 1e3:.0f}) by ({self.dx_m * 1e3:.0f}, {self.dy_m * 1e3:.0f}) mm in "
@@ -60,7 +60,7 @@ class Stroke:
 
 def strokes(surroundings: Surroundings) -> list[Stroke]:
     """Strokes from home, as fast as the limits allow and slower, the clamp within its limits."""
-    found = []
+    result = []
     for angle, (dx, dy), slow in itertools.product(ATTITUDES_RAD, STROKES_M, SLOWNESS):
         if not surroundings.allows(float(angle)):
             continue
@@ -73,18 +73,18 @@ def strokes(surroundings: Surroundings) -> list[Stroke]:
             ),
         )
         duration_s = round(slow * least_s + 0.005, 3)
-        found.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))
-    return found
+        result.append(Stroke(float(angle), dx, dy, duration_s, *surroundings.home[:2]))
+    return result
 
 
 @dataclass(frozen=True)
 class Option:
     """A motion within all limits, and how well it distinguishes the candidates.
 
-    separation  χ² that it puts between the likeliest candidate and the one hardest to tell from it
-    hardest     that one
-    power       probability that the motion decides against every other candidate, if the noise and
-                the candidates are as they are taken to be
+    separation  χ² between the likeliest candidate and the one hardest to distinguish from it
+    hardest     name of that one
+    power       probability that the motion decides against every other candidate, if noise and
+                candidates are as assumed
     """
 
     motion: Stroke
@@ -97,7 +97,7 @@ class Option:
 class Suggestion:
     """Motions, the most informative first, and the candidates that they distinguish.
 
-    refused  how many motions were left out, and for which limit
+    refused  number of motions refused, by limit
     """
 
     candidates: tuple[str, ...]
@@ -128,10 +128,10 @@ def write_motion(suggestion: Suggestion, path: Path) -> None:
     best = suggestion.options[0].motion
     home_x, home_y, _ = suggestion.surroundings.home
     x_m, y_m = best.x_m - home_x, best.y_m - home_y
-    first, *others = suggestion.candidates
+    first, *rivals = suggestion.candidates
     content = {
         "format": FORMAT,
-        "purpose": f"tell {first} from {', '.join(others)}",
+        "purpose": f"tell {first} from {', '.join(rivals)}",
         "start": {"x_m": round(x_m, 6), "y_m": round(y_m, 6), "angle_rad": best.angle_rad},
         "still_s": STILL_S,
         "moves": [

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 from cell.cable.effects.base import Parameter
 
-#: Distance at which a point's pull is stated, m.
+#: Reference distance of a point's pull, m.
 REFERENCE_DISTANCE_M = 0.05
-#: Speed, m/s, curvature, 1/m, and its rate, 1/(m·s), at which laws with a power or a bend in them
-#: are stated, so that their size does not depend on their shape.
+#: Reference speed, m/s, curvature, 1/m, and its rate, 1/(m·s), of nonlinear laws: their size then
+#: does not depend on their shape.
 REFERENCE_SPEED, REFERENCE_CURVATURE, REFERENCE_RATE = 0.5, 10.0, 30.0
 #: Powers below one are rounded within these shares of the reference.
 ROUNDED = 2e-3
 #: Near the jaw weights are rounded within this share of the length: negative powers are finite.
 NEAR_JAW = 0.02
-#: Of names of effects that are one term.  No effect of the library has a name that begins so.
+#: Prefix of the names of effects with a single term; no effect of the library has it.
 NAMESPACE = "law_"
 _WEIGHTED = "weighted along the cable as (s/L)^m, of which c = (m + 1)/(m + 2) is the mean place"
 
@@ -46,7 +46,7 @@ class Term:
 def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     """Terms that respect symmetry and dissipation.
 
-    box_m  x low, x high, y low, y high of where the cable has been seen, m
+    box_m  bounding box of the observed cable: x low, x high, y low, y high, m
 
     Fields depend on the place only and derive from a potential; drags oppose the velocity they
     depend on, in moving air the velocity relative to it; lifts do no work; bending terms are odd
@@ -63,7 +63,7 @@ def admissible(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     )
 
 
-def _one(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
+def _size(name: str, unit: str, typical: float, positive: bool = False) -> Parameter:
     low = 0.0 if positive else -1e4 * typical
     return Parameter(name, unit, low, 1e4 * typical, 0.0, (typical,))
 
@@ -76,13 +76,13 @@ def _power(name: str, *starts: float) -> Parameter:
 def _centre(name: str, *starts: float) -> Parameter:
     """Mean place of a force along the cable, as a share of its length.
 
-    A half, which is a force that all of the cable feels alike, lies inside its bounds.
+    Its bounds include 0.5, a force that is uniform along the cable.
     """
     return Parameter(name, "1", 0.35, 0.98, starts[0], starts, amplitude=False)
 
 
 def _weight(centre: str) -> tuple[str, str]:
-    """Lines that give `weight` of the force at a place of the cable; its mean over it is 1."""
+    """Source lines of `weight`, the relative force at a place of the cable, with mean 1."""
     return (
         f"power = (2.0 * p.{centre} - 1.0) / (1.0 - p.{centre})",
         f"weight = (power + 1.0) * ((at.arc_length / cable.free_length_m) ** 2 + {NEAR_JAW**2:g}) "
@@ -97,7 +97,7 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "constant_field",
             "force",
             "constant force (a, b) per metre",
-            (_one("field_x", "N/m", 1e-3), _one("field_y", "N/m", 1e-3)),
+            (_size("field_x", "N/m", 1e-3), _size("field_y", "N/m", 1e-3)),
             ("fx += p.field_x", "fy += p.field_y"),
         ),
         Term(
@@ -105,9 +105,9 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "force",
             "linear force field from the potential −(a x²/2 + b x y + c y²/2) per metre",
             (
-                _one("slope_xx", "N/m²", 1e-2),
-                _one("slope_xy", "N/m²", 1e-2),
-                _one("slope_yy", "N/m²", 1e-2),
+                _size("slope_xx", "N/m²", 1e-2),
+                _size("slope_xy", "N/m²", 1e-2),
+                _size("slope_yy", "N/m²", 1e-2),
             ),
             (
                 "fx += p.slope_xx * at.x + p.slope_xy * at.y",
@@ -119,9 +119,9 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
             "force",
             f"force (a − k x, b − k y) per metre, that of a spring to a point, {_WEIGHTED}",
             (
-                _one("spring_x", "N/m", 1e-3),
-                _one("spring_y", "N/m", 1e-3),
-                _one("stiffness", "N/m²", 1e-2),
+                _size("spring_x", "N/m", 1e-3),
+                _size("spring_y", "N/m", 1e-3),
+                _size("stiffness", "N/m²", 1e-2),
                 _centre("spring_centre", 0.5, 0.75, 0.9),
             ),
             (
@@ -141,7 +141,7 @@ def _drags() -> tuple[Term, ...]:
             "drag_along",
             "force",
             "drag c v_t per metre along the cable",
-            (_one("drag_along", "N·s/m²", 5e-3, True),),
+            (_size("drag_along", "N·s/m²", 5e-3, True),),
             (
                 "along = at.vx * at.tx + at.vy * at.ty",
                 "fx -= p.drag_along * along * at.tx",
@@ -153,7 +153,7 @@ def _drags() -> tuple[Term, ...]:
             "power_drag",
             "force",
             f"drag c |v_n|^n per metre across the cable, stated at {REFERENCE_SPEED:g} m/s",
-            (_one("power_drag", "N/m", 5e-3, True), _power("drag_exponent", 3.0, 1.5, 0.5)),
+            (_size("power_drag", "N/m", 5e-3, True), _power("drag_exponent", 3.0, 1.5, 0.5)),
             (
                 f"across = (at.vy * at.tx - at.vx * at.ty) / {REFERENCE_SPEED:g}",
                 f"size = (across * across + {ROUNDED**2:g}) ** (0.5 * (p.drag_exponent - 1.0))",
@@ -166,7 +166,7 @@ def _drags() -> tuple[Term, ...]:
             "crossflow_drag",
             "force",
             "drag c |v_t| v_n per metre across the cable: it grows with the speed along it",
-            (_one("crossflow_drag", "N·s²/m³", 1e-2, True),),
+            (_size("crossflow_drag", "N·s²/m³", 1e-2, True),),
             (
                 "along = abs(at.vx * at.tx + at.vy * at.ty)",
                 "across = at.vy * at.tx - at.vx * at.ty",
@@ -179,14 +179,14 @@ def _drags() -> tuple[Term, ...]:
 
 
 def _lifts() -> tuple[Term, ...]:
-    """Forces per metre of a speed, and not against it."""
+    """Forces per metre that depend on speed and do no work against it."""
     speed = f"((at.vx * at.vx + at.vy * at.vy) / {REFERENCE_SPEED**2:g} + {ROUNDED**2:g})"
     return (
         Term(
             "lift_across_path",
             "force",
             f"lift l |v|^n per metre across the velocity, stated at {REFERENCE_SPEED:g} m/s",
-            (_one("path_lift", "N/m", 5e-3), _power("path_exponent", 2.0, 1.0)),
+            (_size("path_lift", "N/m", 5e-3), _power("path_exponent", 2.0, 1.0)),
             (
                 f"size = {speed} ** (0.5 * (p.path_exponent - 1.0)) / {REFERENCE_SPEED:g}",
                 "fx -= p.path_lift * size * at.vy",
@@ -197,7 +197,7 @@ def _lifts() -> tuple[Term, ...]:
             "lift_across_cable",
             "force",
             f"lift l |v|^n per metre to one side of the cable, stated at {REFERENCE_SPEED:g} m/s",
-            (_one("side_lift", "N/m", 5e-3), _power("side_exponent", 2.0, 1.0)),
+            (_size("side_lift", "N/m", 5e-3), _power("side_exponent", 2.0, 1.0)),
             (
                 f"size = {speed} ** (0.5 * p.side_exponent)",
                 "fx -= p.side_lift * size * at.ty",
@@ -208,7 +208,7 @@ def _lifts() -> tuple[Term, ...]:
 
 
 def _sheared_wind(box_m: tuple[float, float, float, float]) -> Term:
-    """Drag in air that moves, and elsewhere otherwise."""
+    """Drag in a wind that changes with place."""
     x, y = 0.5 * (box_m[0] + box_m[1]), 0.5 * (box_m[2] + box_m[3])
     winds, shears = (0.0, 0.3, -0.3), (0.0, 4.0, -4.0)
     return Term(
@@ -217,7 +217,7 @@ def _sheared_wind(box_m: tuple[float, float, float, float]) -> Term:
         "drag c |w| w per metre across the cable, w its velocity in a wind "
         f"(a + b (y − {y:.3g}), c + d (x − {x:.3g}))",
         (
-            _one("wind_drag", "N·s²/m³", 1.5e-2, True),
+            _size("wind_drag", "N·s²/m³", 1.5e-2, True),
             Parameter("wind_x", "m/s", -5.0, 5.0, 0.0, winds, amplitude=False),
             Parameter("wind_y", "m/s", -5.0, 5.0, 0.0, winds, amplitude=False),
             Parameter("shear_xy", "1/s", -50.0, 50.0, 0.0, shears, amplitude=False),
@@ -259,7 +259,7 @@ def _moments() -> tuple[Term, ...]:
             "moment",
             "moment M κ̇/√(κ̇² + r²): friction without memory",
             (
-                _one("dry_moment", "N·m", 1e-6, True),
+                _size("dry_moment", "N·m", 1e-6, True),
                 Parameter("dry_rate", "1/(m·s)", 0.1, 100.0, 5.0, (5.0,), amplitude=False),
             ),
             ("moment += p.dry_moment * at.rate / (at.rate**2 + p.dry_rate**2) ** 0.5",),
@@ -275,7 +275,7 @@ def _viscosities() -> tuple[Term, ...]:
             "curved_viscosity",
             "moment",
             "moment C κ² κ̇: viscosity that grows with curvature",
-            (_one("curved_viscosity", "N·m⁴·s", 1e-9, True),),
+            (_size("curved_viscosity", "N·m⁴·s", 1e-9, True),),
             ("moment += p.curved_viscosity * at.curvature**2 * at.rate",),
             True,
         ),
@@ -283,7 +283,7 @@ def _viscosities() -> tuple[Term, ...]:
             "power_viscosity",
             "moment",
             f"moment C |κ̇|^n against the rate, stated at {REFERENCE_RATE:g} 1/(m·s)",
-            (_one("power_viscosity", "N·m", 1e-6, True), _power("rate_exponent", 2.0, 3.0, 0.5)),
+            (_size("power_viscosity", "N·m", 1e-6, True), _power("rate_exponent", 2.0, 3.0, 0.5)),
             (
                 f"rate = at.rate / {REFERENCE_RATE:g}",
                 f"size = (rate * rate + {ROUNDED**2:g}) ** (0.5 * (p.rate_exponent - 1.0))",

@@ -1,4 +1,4 @@
-"""The report's overlay: a cable seen and predicted, with a time slider, and its tip."""
+"""The report's overlay: a cable observed and predicted, with a time slider, and its tip."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from cell.files.figure_style import NOISE, SEEN, laid_out, listed, play_button
 from cell.lab.report.figures import Series
 from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
 
-#: Frames that the time slider of an overlay offers.
+#: Number of frames of an overlay's time slider.
 SLIDER_FRAMES = 60
-#: Errors are drawn so many times larger over the cable, so that they can be seen at all.
+#: Magnifications of the errors drawn over the cable.
 LARGER = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 #: Pixels: of the figure, below its axes, and from the axes to below the slider's labels.
 HEIGHT, BELOW, SLIDER = 680, 210, 150
@@ -25,14 +25,14 @@ ERROR_SHARE = 0.12
 
 
 def overlay(series: Sequence[Series], number: int) -> go.Figure:
-    """One trial with a time slider: cable seen and predicted, tip against time, and its error."""
+    """One trial with a time slider: cable observed and predicted, tip and its error by time."""
     comparison = series[0].comparison
     trial = comparison.study.trials[number]
-    t_s, seen = trial.markers.t_s, trial.markers.xy_m * 1e3
+    t_s, observed = trial.markers.t_s, trial.markers.xy_m * 1e3
     models = [s.comparison.predicted_m[trial.name] * 1e3 for s in series]
     cables = [s.comparison.cable_m[trial.name] * 1e3 for s in series]
     length = comparison.study.cable.free_length_m * 1e3
-    wanted = ERROR_SHARE * length / max(largest(distance(seen, models[0])), 1e-6 * length)
+    wanted = ERROR_SHARE * length / max(largest(distance(observed, models[0])), 1e-6 * length)
     larger = max((k for k in LARGER if k <= wanted), default=1)
     figure = make_subplots(
         2,
@@ -45,39 +45,39 @@ def overlay(series: Sequence[Series], number: int) -> go.Figure:
     )
     shown = np.unique(np.linspace(0, len(t_s) - 1, SLIDER_FRAMES).astype(int))
     across = across_tip(trial, comparison.predicted_m[trial.name])
-    errors = [np.sum(displacement(seen, m)[:, 0] * across, axis=1) for m in models]
-    _tip_panels(figure, series, t_s, seen, models, errors)
+    errors = [np.sum(displacement(observed, m)[:, 0] * across, axis=1) for m in models]
+    _tip_panels(figure, series, t_s, observed, models, errors)
 
     def at(k: int) -> list[dict[str, Any]]:
-        """What the slider moves: the cable, its errors drawn larger, and two cursors."""
-        drawn = models[0] + displacement(seen, models[0])
+        """Traces that the slider moves: the cable, its errors drawn larger, and two cursors."""
+        drawn = models[0] + displacement(observed, models[0])
         shapes = [_points(drawn[k]), *(_points(c[k]) for c in cables)]
-        whiskers = [_whiskers(seen[k], m[k], larger) for m in models]
+        whiskers = [_whiskers(observed[k], m[k], larger) for m in models]
         x = [round(float(t_s[k]), 4)] * 2
         return [*shapes, *whiskers, *({"x": x, "y": y} for y in cursors)]
 
-    cursors = [_reach(seen[:, 0, 1]), _reach(np.concatenate(errors))]
+    cursors = [_reach(observed[:, 0, 1]), _reach(np.concatenate(errors))]
     first = len(figure.data)
-    looks = _looks(series, larger)
+    styles = _styles(series, larger)
     places = [(1, 1)] * (1 + 2 * len(series)) + [(1, 2), (2, 2)]
-    farthest = np.nan_to_num(distance(seen, models[0])[shown]).max(axis=1)
+    farthest = np.nan_to_num(distance(observed, models[0])[shown]).max(axis=1)
     worst = int(shown[np.argmax(farthest)])
-    for data, look, (row, column) in zip(at(worst), looks, places, strict=True):
-        figure.add_scatter(**data, **look, row=row, col=column)
+    for data, style, (row, column) in zip(at(worst), styles, places, strict=True):
+        figure.add_scatter(**data, **style, row=row, col=column)
     moved = list(range(first, len(figure.data)))
     figure.frames = [
         go.Frame(name=str(k), traces=moved, data=[go.Scatter(**d) for d in at(int(k))])
         for k in shown
     ]
-    _axes(figure, (seen, *cables), t_s)
+    _axes(figure, (observed, *cables), t_s)
     _slider(figure, [(str(k), float(t_s[k])) for k in shown], list(shown).index(worst))
     figure = laid_out(figure, HEIGHT).update_layout(margin_b=BELOW)
     drawn = HEIGHT - BELOW - figure.layout.margin.t
     return figure.update_layout(legend={"y": -SLIDER / drawn, "yanchor": "top"})
 
 
-def _looks(series: Sequence[Series], larger: int) -> list[dict[str, Any]]:
-    """How each of what the slider moves is drawn, in the same order."""
+def _styles(series: Sequence[Series], larger: int) -> list[dict[str, Any]]:
+    """Style of each trace that the slider moves, in the same order."""
     return [
         {"mode": "markers", "name": "seen", "marker": {"size": 8, "color": SEEN}},
         *(
@@ -99,9 +99,9 @@ def _looks(series: Sequence[Series], larger: int) -> list[dict[str, Any]]:
 
 
 def _axes(figure: go.Figure, shapes_mm: Sequence[FloatArray], t_s: FloatArray) -> None:
-    """Ranges that show all of the cable and of the time."""
-    both = np.concatenate([p.reshape(-1, 2) for p in shapes_mm])
-    low, high = np.nanmin(both, axis=0) - 8.0, np.nanmax(both, axis=0) + 8.0
+    """Set ranges that show all of the cable and of the time."""
+    points = np.concatenate([p.reshape(-1, 2) for p in shapes_mm])
+    low, high = np.nanmin(points, axis=0) - 8.0, np.nanmax(points, axis=0) + 8.0
     figure.update_xaxes(range=listed(np.array([low[0], high[0]]), 1), row=1, col=1)
     figure.update_yaxes(range=listed(np.array([low[1], high[1]]), 1), scaleanchor="x", row=1, col=1)
     span = listed(np.array([t_s[0], t_s[-1]]), 4)
@@ -113,7 +113,7 @@ def _tip_panels(
     figure: go.Figure,
     series: Sequence[Series],
     t_s: FloatArray,
-    seen: FloatArray,
+    observed: FloatArray,
     models: Sequence[FloatArray],
     errors: Sequence[FloatArray],
 ) -> None:
@@ -122,7 +122,7 @@ def _tip_panels(
     times = listed(t_s, 4)
     dots = {"size": 3, "color": SEEN}
     figure.add_scatter(
-        x=times, y=listed(seen[:, 0, 1], 4), mode="markers", marker=dots, showlegend=False,
+        x=times, y=listed(observed[:, 0, 1], 4), mode="markers", marker=dots, showlegend=False,
         row=1, col=2,
     )  # fmt: skip
     for s, model, error in zip(series, models, errors, strict=True):
@@ -160,13 +160,13 @@ def _slider(figure: go.Figure, frames: Sequence[tuple[str, float]], active: int)
     )
 
 
-def _whiskers(seen: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:
-    """From every marker towards where the model has it, so many times farther."""
-    away = displacement(seen, model)
-    seen = model + away
-    ends = seen - larger * away
-    gaps = np.full_like(seen, np.nan)
-    return _points(np.stack([seen, ends, gaps], axis=1).reshape(-1, 2))
+def _whiskers(observed: FloatArray, model: FloatArray, larger: int) -> dict[str, Any]:
+    """Lines from every marker towards its predicted place, `larger` times as long as the error."""
+    error = displacement(observed, model)
+    observed = model + error
+    ends = observed - larger * error
+    gaps = np.full_like(observed, np.nan)
+    return _points(np.stack([observed, ends, gaps], axis=1).reshape(-1, 2))
 
 
 def _points(xy: FloatArray) -> dict[str, Any]:
@@ -175,5 +175,5 @@ def _points(xy: FloatArray) -> dict[str, Any]:
 
 def _reach(values: FloatArray) -> list[float | None]:
     """Lowest and highest value; None where there are none."""
-    some = values[np.isfinite(values)]
-    return listed(np.array([some.min(), some.max()]), 4) if some.size else [None, None]
+    finite = values[np.isfinite(values)]
+    return listed(np.array([finite.min(), finite.max()]), 4) if finite.size else [None, None]

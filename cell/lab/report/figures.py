@@ -1,4 +1,4 @@
-"""The figures of the lab's report, with plotly; numbers as lists, so that any reader gets them."""
+"""The figures of the lab's report, with plotly; numbers as plain lists, for any reader."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Series:
     """A model compared with the measurements; its name and colour are those of all figures.
 
     of     the name after "error"
-    above  number of models drawn over it: it is drawn so much larger that equal ones are seen too
+    above  number of models drawn over it: larger lines and markers keep it visible below them
     """
 
     name: str
@@ -51,12 +51,12 @@ class Series:
 
     @property
     def width(self) -> float:
-        """Of its lines, in pixels."""
+        """Width of its lines, px."""
         return 1.5 + 2.0 * self.above
 
     @property
     def size(self) -> float:
-        """Of its markers, in pixels."""
+        """Size of its markers, px."""
         return 8.0 + 5.0 * self.above
 
 
@@ -64,17 +64,17 @@ class Series:
 Z_95 = float(normal_quantile(0.975))
 
 
-def profile_curves(found: Sequence[ParameterProfile]) -> go.Figure:
+def profile_curves(profiles: Sequence[ParameterProfile]) -> go.Figure:
     """Profile likelihoods: rise of −2 ln L against each parameter, with Wald's parabola."""
     columns = 3
-    rows = -(-len(found) // columns)
-    titles = [f"{p.name}, {p.unit}" for p in found]
+    rows = -(-len(profiles) // columns)
+    titles = [f"{p.name}, {p.unit}" for p in profiles]
     figure = make_subplots(rows, columns, subplot_titles=titles, vertical_spacing=0.35 / rows)
-    for number, p in enumerate(found):
+    for number, p in enumerate(profiles):
         where = {"row": number // columns + 1, "col": number % columns + 1}
         first = number == 0
         bounded = [bool(names) for names in p.at_bound]
-        words = [f"at a bound: {', '.join(n)}" if n else "" for n in p.at_bound]
+        texts = [f"at a bound: {', '.join(n)}" if n else "" for n in p.at_bound]
         ends = np.array(p.wald)
         spread = (np.log(ends) if p.logarithmic else ends) @ [-0.5, 0.5] / Z_95
         middle = float(np.log(p.fitted)) if p.logarithmic else p.fitted
@@ -86,12 +86,12 @@ def profile_curves(found: Sequence[ParameterProfile]) -> go.Figure:
             legendgroup="wald", showlegend=first, **where)  # fmt: skip
         figure.add_scatter(x=listed_exactly(p.values), y=listed(p.rise, 4), mode="lines+markers",
             line={"color": ADDED}, name="refitted with the parameter held", legendgroup="profile",
-            showlegend=first, text=words, **where)  # fmt: skip
+            showlegend=first, text=texts, **where)  # fmt: skip
         figure.add_scatter(
             x=listed_exactly(np.where(bounded, p.values, np.nan)), y=listed(p.rise, 4),
             mode="markers", marker={"color": MODEL, "symbol": "diamond", "size": 11},
             name="another parameter at its bound", legendgroup="bound", showlegend=first,
-            text=words, **where)  # fmt: skip
+            text=texts, **where)  # fmt: skip
         figure.add_hline(y=Z_95**2, line_dash="dash", line_color=NOISE, **where)
         figure.update_yaxes(range=[min(-0.3, 1.1 * p.rise.min()), 1.6 * Z_95**2], **where)
         if where["col"] == 1:
@@ -107,9 +107,9 @@ def listed_exactly(values: FloatArray) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-#: Names of so many models have room below an axis.
+#: Most model names that fit below an axis.
 MOST_NAMED = 24
-#: Family-wise level at which evidence is beyond chance, as a diagnosis asks for.
+#: Family-wise significance level, as in a diagnosis.
 CHANCE = 0.01
 
 _STATUS = {
@@ -122,19 +122,19 @@ _STATUS = {
 
 def waterfall(diagnosis: Diagnosis) -> go.Figure:
     """Error of the baseline, error after each added effect, and the noise."""
-    found = diagnosis.missing or diagnosis.partial
-    names = ["model", *(f"+ {'<br>or '.join((f.effect, *f.tied_with))}" for f in found)]
+    added = diagnosis.missing or diagnosis.partial
+    names = ["model", *(f"+ {'<br>or '.join((f.effect, *f.tied_with))}" for f in added)]
     label = noise_label(diagnosis.noise_is_stated)
-    base, errors = diagnosis.baseline, [f.errors for f in found]
+    base, errors = diagnosis.baseline, [f.errors for f in added]
     held, fitted = [base.heldout_rms_m], [base.fit_rms_m]
-    if diagnosis.missing or not found:
+    if diagnosis.missing or not added:
         held += [e.heldout_rms_m for e in errors]
         fitted += [e.fit_rms_m for e in errors]
         return _falling(names, held, fitted, diagnosis.noise_m, label)
-    none = [float("nan")] * len(found)
+    missing = [float("nan")] * len(added)
     before_m = float("nan") if diagnosis.left is None else diagnosis.left.before_rms_m
     to_all = [before_m, *(e.fit_rms_m for e in errors)]
-    return _falling(names, [*held, *none], [*fitted, *none], diagnosis.noise_m, label, to_all)
+    return _falling(names, [*held, *missing], [*fitted, *missing], diagnosis.noise_m, label, to_all)
 
 
 def history(comparisons: Sequence[Comparison]) -> go.Figure:
@@ -166,9 +166,9 @@ def fit_history(diagnosis: Diagnosis) -> go.Figure:
     names = [" + ".join(f.effects) or "baseline" for f in fits]
     colours = [ADDED if f.effects and named >= set(f.effects) else QUIET for f in fits]
     x = list(range(len(fits)))
-    every, least = listed(errors_mm, 4), listed(least_mm, 4)
+    each, least = listed(errors_mm, 4), listed(least_mm, 4)
     figure = go.Figure()
-    figure.add_scatter(x=x, y=every, mode="markers", name="each model", text=names,
+    figure.add_scatter(x=x, y=each, mode="markers", name="each model", text=names,
         marker={"color": colours, "size": 9},
         hovertemplate="%{text}: %{y} mm<extra></extra>")  # fmt: skip
     figure.add_scatter(x=x, y=least, mode="lines", name="least so far",
@@ -177,7 +177,7 @@ def fit_history(diagnosis: Diagnosis) -> go.Figure:
     noise_line(figure, noise_mm, noise_label(diagnosis.noise_is_stated))
     logarithmic(figure, [errors_mm, np.array([noise_mm])])
     figure.frames = [
-        go.Frame(name=str(n), data=[{"x": x[:n], "y": every[:n]}, {"x": x[:n], "y": least[:n]}])
+        go.Frame(name=str(n), data=[{"x": x[:n], "y": each[:n]}, {"x": x[:n], "y": least[:n]}])
         for n in range(1, len(fits) + 1)
     ]
     labels = [name.replace(" + ", "<br>+ ") for name in names] if len(fits) <= MOST_NAMED else []
@@ -200,7 +200,7 @@ def _falling(
 ) -> go.Figure:
     """Errors of models one after another, on a logarithmic axis.
 
-    to_all_m  of all motions, of models fitted to them all
+    to_all_m  errors on all motions of models fitted to all of them
     """
     figure = go.Figure()
     lines = [
@@ -224,33 +224,33 @@ def _falling(
             cliponaxis=False,
         )
     noise_line(figure, noise_m * 1e3, noise)
-    every = [np.array(values) * 1e3 for _, values, _, _ in lines]
-    logarithmic(figure, [*every, np.array([noise_m * 1e3])])
+    errors = [np.array(values) * 1e3 for _, values, _, _ in lines]
+    logarithmic(figure, [*errors, np.array([noise_m * 1e3])])
     figure.update_xaxes(range=[-0.5, len(names) - 0.5], type="category")
     figure.update_layout(yaxis_title="error, mm rms")
     return laid_out(figure, 360 + 18 * max(n.count("<br>") for n in names))
 
 
 def _sides(lines: Sequence[Sequence[float | None]]) -> list[list[str]]:
-    """Where each number stands next to its marker: the largest above, the smallest below.
+    """Position of each number at its marker: the largest above, the smallest below.
 
-    What is between them, to the right.
+    Those between them to the right.
     """
-    found = []
+    positions = []
     for line in lines:
-        beside = []
+        sides = []
         for i, value in enumerate(line):
             others = [o for other in lines if other is not line and (o := other[i]) is not None]
             own = 0.0 if value is None else value
             first = next(other for other in lines if other[i] is not None or other is line) is line
             if all(own > o or (own == o and first) for o in others):
-                beside.append("top center")
+                sides.append("top center")
             elif all(own <= o for o in others):
-                beside.append("bottom center")
+                sides.append("bottom center")
             else:
-                beside.append("middle right")
-        found.append(beside)
-    return found
+                sides.append("middle right")
+        positions.append(sides)
+    return positions
 
 
 def by_trial(series: Sequence[Series]) -> go.Figure:
@@ -319,16 +319,16 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
     comparison = series[0].comparison
     trial = comparison.study.trials[number]
     t_s = trial.markers.t_s
-    left = [
+    errors_mm = [
         distance(trial.markers.xy_m, s.comparison.predicted_m[trial.name]) * 1e3 for s in series
     ]
     noise_mm = comparison.noise_m * 1e3
-    highest = max(4.0 * noise_mm, *(largest(v) for v in left))
+    highest = max(4.0 * noise_mm, *(largest(v) for v in errors_mm))
     figure = make_subplots(
         1, len(series), shared_yaxes=True, subplot_titles=[f"error {s.of}, mm" for s in series],
         horizontal_spacing=0.04,
     )  # fmt: skip
-    for column, values in enumerate(left, 1):
+    for column, values in enumerate(errors_mm, 1):
         figure.add_heatmap(
             x=listed(t_s, 4),
             y=listed(comparison.study.arc_length_m * 1e3, 2),
@@ -362,7 +362,7 @@ def residual_maps(series: Sequence[Series], number: int) -> go.Figure:
 
 
 def profiles(series: Sequence[Series]) -> go.Figure:
-    """Error by arc length, by phase and by frequency over all trials, against the noise."""
+    """Error by arc length, by phase and by frequency over all trials, with the noise."""
     figure = make_subplots(
         1,
         3,
@@ -425,8 +425,8 @@ def _profile_traces(figure: go.Figure, s: Series, phases: Sequence[str]) -> None
         row=1,
         col=2,
     )
-    grid, each = wheres[0].spectrum.frequency_hz, [w.spectrum for w in wheres]
-    power = [np.interp(grid, one.frequency_hz, one.residual_m2_per_hz) for one in each]
+    grid, spectra = wheres[0].spectrum.frequency_hz, [w.spectrum for w in wheres]
+    power = [np.interp(grid, p.frequency_hz, p.residual_m2_per_hz) for p in spectra]
     density = 1e3 * np.sqrt(np.mean(power, axis=0))
     figure.add_scatter(
         x=listed(grid, 2),

@@ -21,7 +21,7 @@ from cell.lab.report.tables import check_rows, checks_table
 from cell.lab.report.wording import chance, digits, with_interval
 from cell.records.model_errors import FEWEST, interval
 
-#: What helps where the library has no name for what is missing.
+#: Hint where no effect of the library explains the error.
 LAWS = "`cell learn --laws` looks for a law that is not in the library"
 
 #: What the verdict of `cell learn` means.
@@ -46,7 +46,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
     if result.best is None and so_far:
         return [first, "the missing effect is not identified yet; nothing was written"]
     if result.best is None:
-        return [first, _nothing(result)]
+        return [first, _without_effect(result)]
     best, lines = result.best, [first]
     natural = best.fit.natural()[best.fit.common]
     values = ", ".join(
@@ -54,7 +54,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
         for name, value, i in zip(best.names, natural, best.fit.common, strict=True)
     )
     lines.append(
-        f"missing: {best.name} ({values}), {_chance(best.p_value)}; with it the model misses "
+        f"missing: {best.name} ({values}), {_p_text(best.p_value)}; with it the model misses "
         f"{best.fit.rms_m * 1e3:.3f} mm"
     )
     if result.tied:
@@ -64,88 +64,88 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
             lines.append(
                 f"{best.names[i]} differs between cables by {s.tau:.3g} (standard deviation beyond "
                 f"the uncertainty of each, nothing more allowed; Cochran's Q {s.q:.1f} of {s.dof}, "
-                f"{_chance(s.p_value)})"
+                f"{_p_text(s.p_value)})"
             )
     if so_far:
         lines.append("interrupted before the gates; nothing was written")
     return lines
 
 
-def _nothing(result: LearningResult) -> str:
-    """What it means that no effect was found."""
+def _without_effect(result: LearningResult) -> str:
+    """Meaning of a search without result."""
     if result.left_out:
         return "no effect that was tried explains more than chance; some were not tried"
     nothing = "no effect of the library explains more than chance"
-    found = learning_outcomes(result)
-    why = " ".join(a.check.failed for a in found if a.passed is False)
-    verdict = learning_verdict(result, found)
+    outcomes = learning_outcomes(result)
+    reasons = " ".join(a.check.failed for a in outcomes if a.passed is False)
+    verdict = learning_verdict(result, outcomes)
     if verdict == "complete":
         return f"{nothing}: the model is complete"
     if verdict == "unexplained":
-        return f"{nothing}, and {why[0].lower()}{why[1:-1]}: {LAWS}"
-    return f"{nothing}. {why}"
+        return f"{nothing}, and {reasons[0].lower()}{reasons[1:-1]}: {LAWS}"
+    return f"{nothing}. {reasons}"
 
 
 def learning_parts(
-    result: LearningResult, judged: Sequence[CheckOutcome[LineEvidence]]
+    result: LearningResult, gates: Sequence[CheckOutcome[LineEvidence]]
 ) -> list[str | TableData]:
     """Sentences and tables behind the result: verdict, checks, evidence per cycle, gates."""
-    found = learning_outcomes(result)
-    verdict = learning_verdict(result, found)
+    outcomes = learning_outcomes(result)
+    verdict = learning_verdict(result, outcomes)
     parts: list[str | TableData] = [
         f"Verdict {verdict}: {LEARNING_VERDICTS[verdict]}.",
-        checks_table([answer.result for answer in found]),
+        checks_table([outcome.result for outcome in outcomes]),
     ]
-    return parts if result.best is None else [*parts, cycle_table(result), gates_table(judged)]
+    return parts if result.best is None else [*parts, cycle_table(result), gates_table(gates)]
 
 
 def cycle_table(result: LearningResult) -> TableData:
-    """Which cycles speak for the effect, and which against."""
+    """Evidence of each cycle for or against the effect."""
     assert result.best is not None
     name = result.best.names[result.best.firsts[-1]].partition(".")[2]
     rows = []
     for v in result.cycle_evidence:
-        speaks = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
-        rows.append([v.cycle, speaks, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}"])
+        direction = "for" if v.fall > 2.0 else "against" if v.fall < -2.0 else "neither"
+        rows.append([v.cycle, direction, f"{v.fall:.1f}", f"{v.value:.4g}", f"{v.std:.2g}"])
     title = f"cycles for and against {result.best.effect.name}"
     return TableData(title, ["cycle", "speaks", "fall of χ²", name, "±"], rows, (2, 3, 4))
 
 
-def gates_table(judged: Sequence[CheckOutcome[LineEvidence]]) -> TableData:
+def gates_table(gates: Sequence[CheckOutcome[LineEvidence]]) -> TableData:
     """Table of a candidate's gates: limit and result of each."""
-    limits = [row[2] for row in check_rows([g.result for g in judged])]
+    limits = [row[2] for row in check_rows([g.result for g in gates])]
     rows = [
-        [g.name, g.found, limit, "passed" if g.passed else "not passed"]
-        for g, limit in zip(judged, limits, strict=True)
+        [g.name, g.text, limit, "passed" if g.passed else "not passed"]
+        for g, limit in zip(gates, limits, strict=True)
     ]
     colours = {"passed": "green", "not passed": "red"}
     return TableData("gates", ["", "found", "limit", ""], rows, colours=colours)
 
 
-def _chance(p_value: float) -> str:
+def _p_text(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value > 1e-300 else "p < 1e-300"
 
 
 def common_error_line(paired: Sequence[ForecastPair]) -> str:
     """Sentence on the mean error of all forecasts, with the present model and with the candidate.
 
-    Empty if they are too few to tell.
+    Empty if they are too few.
     """
     pairs = np.array([(f.present.above_m, f.candidate.above_m) for f in paired]).reshape(-1, 2)
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
     if len(pairs) < FEWEST:
         return ""
-    said = []
+    texts = []
     for errors_m in pairs.T:
         mean_m, low_m, high_m = (1e3 * m for m in interval(errors_m, 0.95))
-        said.append(f"{mean_m:+z.3f} mm ({low_m:+z.3f} to {high_m:+z.3f})")
+        texts.append(f"{mean_m:+z.3f} mm ({low_m:+z.3f} to {high_m:+z.3f})")
     return (
-        f"in the mean of {len(pairs)} executions the tip passes the opening {said[0]} above the "
-        f"present model's forecast, {said[1]} above the candidate's; 95 % intervals"
+        f"in the mean of {len(pairs)} executions the tip passes the opening {texts[0]} above the "
+        f"present model's forecast, {texts[1]} above the candidate's; 95 % intervals"
     )
 
 
-#: What is said of each way in which a result stands beside that of then.
+#: Text for each outcome of the comparison with the earlier result.
 _COMPARED = {
     "same": "the same values, bit for bit",
     "within": "every value within its 95 % interval of then",
@@ -157,41 +157,41 @@ _COMPARED = {
 _TEXT = 60
 
 
-def identified_parts(found: IdentifiedAll, table: Path) -> list[str | TableData]:
-    """What `cell identify` prints of all recordings: sentences and tables in order."""
-    counts = ", ".join(f"{count} {name}" for name, count in sorted(found.outcomes.items()))
-    known = f" ({found.known} known from before)" if found.known else ""
+def identified_parts(result: IdentifiedAll, table: Path) -> list[str | TableData]:
+    """Sentences and tables that `cell identify` prints for all recordings, in order."""
+    counts = ", ".join(f"{count} {name}" for name, count in sorted(result.outcomes.items()))
+    already = f" ({result.known} known from before)" if result.known else ""
     return [
-        f"{found.done} of {counted(found.recordings, 'recording')}{known}: "
+        f"{result.done} of {counted(result.recordings, 'recording')}{already}: "
         f"{counts or 'none'}; in {table}",
-        *([_compared(found)] if found.done else []),
-        *([_moved(found)] if found.moved else []),
-        *([_unidentified(found)] if found.unidentified else []),
+        *([_compared(result)] if result.done else []),
+        *([_moved(result)] if result.moved else []),
+        *([_unidentified(result)] if result.unidentified else []),
     ]
 
 
-def _compared(found: IdentifiedAll) -> TableData:
+def _compared(result: IdentifiedAll) -> TableData:
     rows = [
-        [said, str(found.compared[name])]
-        for name, said in _COMPARED.items()
-        if found.compared[name]
+        [text, str(result.compared[name])]
+        for name, text in _COMPARED.items()
+        if result.compared[name]
     ]
     return TableData("Beside what was identified then", ["now", "recordings"], rows, (1,))
 
 
-def _moved(found: IdentifiedAll) -> TableData:
-    rows = [[row.recording, row.moved, f"{row.moved_std:.2f}"] for row in found.moved]
+def _moved(result: IdentifiedAll) -> TableData:
+    rows = [[row.recording, row.moved, f"{row.moved_std:.2f}"] for row in result.moved]
     heads = ["recording", "parameter", "moved by"]
     note = "in standard deviations of then; the table has all"
     return TableData("What has moved most", heads, rows, (2,), note)
 
 
-def _unidentified(found: IdentifiedAll) -> TableData:
+def _unidentified(result: IdentifiedAll) -> TableData:
     rows = [
         [row.recording, row.outcome, row.why if len(row.why) <= _TEXT else f"{row.why[:_TEXT]} …"]
-        for row in found.unidentified
+        for row in result.unidentified
     ]
-    count = found.done - found.outcomes["identified"]
+    count = result.done - result.outcomes["identified"]
     note = f"{len(rows)} of {count}; the table has all" if count > len(rows) else ""
     return TableData("Not identified", ["recording", "outcome", "why"], rows, (), note)
 
@@ -199,26 +199,26 @@ def _unidentified(found: IdentifiedAll) -> TableData:
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
-def together_parts(found: Together) -> list[str | TableData]:
-    """What is printed of a joint diagnosis: sentences and tables in order."""
+def together_parts(result: Together) -> list[str | TableData]:
+    """Sentences and tables of a joint diagnosis, in order."""
     return [
-        f"Verdict {found.verdict}: {found.why}.",
-        *([_tied(found)] if found.tied else []),
-        *_apart(found.consistency),
-        studies_table(found),
-        *([consistency_table(found.consistency)] if found.consistency else []),
-        *([values_table(found.consistency)] if found.consistency else []),
-        hypotheses_table(found),
+        f"Verdict {result.verdict}: {result.why}.",
+        *([_tied(result)] if result.tied else []),
+        *_differences(result.consistency),
+        studies_table(result),
+        *([consistency_table(result.consistency)] if result.consistency else []),
+        *([values_table(result.consistency)] if result.consistency else []),
+        hypotheses_table(result),
     ]
 
 
-def _tied(found: Together) -> str:
-    others = ", ".join(" and ".join(names) for names in found.tied)
-    return f"As much is explained by {others}: these studies cannot tell them apart."
+def _tied(result: Together) -> str:
+    rivals = ", ".join(" and ".join(names) for names in result.tied)
+    return f"As much is explained by {rivals}: these studies cannot tell them apart."
 
 
-def _apart(consistency: Sequence[Consistency]) -> list[str]:
-    """What differs between the cables."""
+def _differences(consistency: Sequence[Consistency]) -> list[str]:
+    """Sentences on parameters that differ between the cables."""
     return [
         f"The cables differ in {c.parameter} by more than chance (p = {chance(c.q_p_value)})."
         for c in consistency
@@ -226,8 +226,8 @@ def _apart(consistency: Sequence[Consistency]) -> list[str]:
     ]
 
 
-def studies_table(found: Together) -> TableData:
-    """Which studies speak for and against."""
+def studies_table(result: Together) -> TableData:
+    """Table of the evidence of each study."""
     rows = [
         [
             part.study,
@@ -237,10 +237,10 @@ def studies_table(found: Together) -> TableData:
             "noise" if part.explained else "more than noise",
             part.says or "–",
         ]
-        for part in found.studies
+        for part in result.studies
     ]
     heads = ["study", "verdict alone", "finds alone", "Δχ²", "what is left", "says"]
-    effects = " and ".join(found.effects) or "no effect"
+    effects = " and ".join(result.effects) or "no effect"
     note = f"Δχ², what is left and what it says: of {effects}"
     return TableData("The studies", heads, rows, (3,), note)
 
@@ -272,19 +272,19 @@ def values_table(consistency: Sequence[Consistency]) -> TableData:
     return TableData("Parameters by study (95 %)", heads, rows)
 
 
-def hypotheses_table(found: Together) -> TableData:
+def hypotheses_table(result: Together) -> TableData:
     """Table of the sets of effects that were fitted to all studies."""
     rows = [
         [" + ".join(h.effects) or "none", f"{h.evidence:.1f}", f"{h.delta_chi2:.1f}"]
-        for h in found.hypotheses
+        for h in result.hypotheses
     ]
     heads = ["effects", "ln evidence", "Δχ²"]
     note = "ln evidence: ln likelihood less BIC's penalty, sum over studies, beyond no effect"
     return TableData("Sets of effects, fitted to all studies", heads, rows, (1, 2), note)
 
 
-def together_page(found: Together) -> str:
+def together_page(result: Together) -> str:
     """The result of a joint diagnosis as an HTML page."""
     return page(
-        _TEMPLATES, "together.html", f"{len(found.studies)} studies", parts=together_parts(found)
+        _TEMPLATES, "together.html", f"{len(result.studies)} studies", parts=together_parts(result)
     )

@@ -41,34 +41,34 @@ from cell.study.left_out import notes_of_samples
 from cell.study.record_checks import oddities
 from cell.study.wrench import WrenchFacts
 
-#: Shapes of a film strip, and of a line of it.
+#: Number of shapes of a film strip, and of one of its lines.
 STRIP, IN_LINE = 10, 5
 #: Room between two shapes, as a share of the largest one.
 _BETWEEN = 0.2
 #: Pixels between the lines of the strip's time labels and its shapes.
 _LINE_PX, _AROUND_PX = 190, 70
-#: A spectrum is drawn to so many times the highest frequency that is told.
+#: A spectrum is drawn up to this multiple of the highest peak frequency.
 _SHOWN_HZ = 8.0
 
 
 def film_strip(trial: Trial, facts: TrialFacts) -> go.Figure:
-    """Shapes of the cable at times from the rest before the motion to the end, side by side.
+    """Shapes of the cable at times from rest before the motion to the end, next to each other.
 
     All are drawn to one scale, in mm, and where they are; paths of gripper and tip are grey.
     """
     rows = _moments(trial, facts)
     t_s = trial.markers.t_s
-    hand = trial.gripper_m(t_s)
-    both = np.concatenate([trial.markers.xy_m.reshape(-1, 2), hand]) * 1e3
-    low, high = np.nanmin(both, axis=0), np.nanmax(both, axis=0)
+    grip_m = trial.gripper_m(t_s)
+    points = np.concatenate([trial.markers.xy_m.reshape(-1, 2), grip_m]) * 1e3
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     size = np.maximum(high - low, 1e-6) * (1.0 + _BETWEEN)
     size = np.maximum(size, 0.25 * size.max())
     figure = go.Figure()
     for number, row in enumerate(rows):
         at = np.array([number % IN_LINE, -(number // IN_LINE)]) * size - low
-        from_grip = np.concatenate([hand[row][None], trial.markers.xy_m[row][::-1]])
+        from_grip = np.concatenate([grip_m[row][None], trial.markers.xy_m[row][::-1]])
         shape = from_grip[np.isfinite(from_grip).all(axis=1)] * 1e3 + at
-        paths = np.concatenate([hand * 1e3 + at, [[np.nan] * 2], _tip(trial, facts) * 1e3 + at])
+        paths = np.concatenate([grip_m * 1e3 + at, [[np.nan] * 2], _tip(trial, facts) * 1e3 + at])
         _line(figure, thinned(paths), QUIET, 1.0, "paths of hand and tip", number == 0)
         _line(figure, shape, SEEN, 2.0, "cable", number == 0, markers=True)
         place = {"x": [float(shape[0, 0])], "y": [float(shape[0, 1])]}
@@ -91,8 +91,8 @@ def courses(trial: Trial, facts: TrialFacts) -> go.Figure:
     figure = make_subplots(3, 1, shared_xaxes=True, subplot_titles=titles, vertical_spacing=0.08)
     markers, grip = trial.markers, trial.grip
     tip = thinned(np.column_stack([markers.t_s, _tip(trial, facts) * 1e3]))
-    hand = thinned(np.column_stack([grip.t_s, grip.x_m * 1e3, grip.y_m * 1e3]))
-    for row, course in ((1, tip), (2, hand)):
+    grip_xy = thinned(np.column_stack([grip.t_s, grip.x_m * 1e3, grip.y_m * 1e3]))
+    for row, course in ((1, tip), (2, grip_xy)):
         for axis, name, colour in ((1, "x (right)", ADDED), (2, "y (up)", MODEL)):
             figure.add_scatter(
                 x=listed(course[:, 0], 4), y=listed(course[:, axis], 3), mode="lines+markers",
@@ -116,9 +116,9 @@ def swing_figure(facts: TrialFacts) -> go.Figure | None:
     spectrum = facts.spectrum
     if spectrum is None or not spectrum.peaks_hz:
         return None
-    some = spectrum.frequency_hz > 0.0
-    amplitude = np.maximum(spectrum.amplitude_m[some], 1e-4 * spectrum.amplitude_m.max())
-    shown = thinned(np.column_stack([spectrum.frequency_hz[some], amplitude]))
+    positive = spectrum.frequency_hz > 0.0
+    amplitude = np.maximum(spectrum.amplitude_m[positive], 1e-4 * spectrum.amplitude_m.max())
+    shown = thinned(np.column_stack([spectrum.frequency_hz[positive], amplitude]))
     figure = go.Figure()
     figure.add_scatter(x=listed(shown[:, 0], 4), y=in_mm(shown[:, 1]), mode="lines",
         line={"color": SEEN, "width": 1.5}, showlegend=False)  # fmt: skip
@@ -137,8 +137,8 @@ def _moments(trial: Trial, facts: TrialFacts) -> list[int]:
     t_s = trial.markers.t_s
     begins = t_s[0] if facts.moves_s is None else min(max(facts.moves_s[0], t_s[0]), t_s[-1])
     wanted = np.linspace(begins, t_s[-1], STRIP)
-    shown = np.flatnonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
-    rows = [int(shown[np.argmin(np.abs(t_s[shown] - t))]) for t in wanted]
+    observed = np.flatnonzero(np.isfinite(trial.markers.xy_m).any(axis=(1, 2)))
+    rows = [int(observed[np.argmin(np.abs(t_s[observed] - t))]) for t in wanted]
     return list(dict.fromkeys(rows))
 
 
@@ -179,9 +179,9 @@ class StudyOverview:
     """Content of a study's overview page: trials, facts and warnings.
 
     title  of the page
-    says   sentences at the top, in groups under their headings
-    wrong  what must be mended before a model can be fitted
-    odd    what may be wrong
+    says   sentences at the top, grouped by heading
+    wrong  errors to correct before a model can be fitted
+    odd    possible errors
     wrenches  facts of those trials that have a wrench
     independence  the independent recordings and motions; None = not known
     """
@@ -239,7 +239,7 @@ def look_page(look: StudyOverview) -> str:
         facts=facts_table(look),
         note=FACT_NOTE,
         wrenches=wrench_facts_table(look.wrenches) if look.wrenches else None,
-        # no facts are known of trials that cannot be understood
+        # trials that could not be read have no facts
         trials=[_plots(t, f) for t, f in zip(look.trials, look.facts, strict=False)],
     )
 
@@ -290,7 +290,7 @@ def preview_of(
 ) -> StudyOverview:
     """Overview of trials before their import: trials as mapped, warnings, and refusals.
 
-    mapping_file  where the mapping will be, for complaints about it
+    mapping_file  future path of the mapping, for error messages
     """
     read = ReadMapping(understood.mapping, Document(mapping_file, {}, {(): (1, 1)}))
     captures = {f.file: f.capture for f in files}
@@ -316,5 +316,5 @@ def preview_of(
         head: [f.sentence for f in understood.findings if f.sure is sure]
         for sure, head in _HEADS.items()
     }
-    says = {head: found for head, found in says.items() if found}
+    says = {head: sentences for head, sentences in says.items() if sentences}
     return StudyOverview(read.mapping.name, title, trials, facts, says, wrong, odd)

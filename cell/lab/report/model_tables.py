@@ -48,7 +48,7 @@ def model_table(model: Identified) -> TableData:
 
 
 def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
-    """Fitted and held-out error against the noise."""
+    """Text: fitted and held-out error, and the noise."""
     return (
         f"error {mm(errors.fit_rms_m)} mm fitted, {mm(errors.heldout_rms_m)} mm held out, "
         f"{noise_label(prepared.study.noise_std_m is not None)} "
@@ -124,11 +124,11 @@ def correlations_table(comparison: Comparison) -> TableData:
     names = sorted({f.signal for w in comparison.where for f in w.correlations})
     rows = []
     for w in comparison.where:
-        found = {
+        shown = {
             f.signal: f"{correlation(f.correlation)}{'*' if f.p_value < NOTICEABLE else ''}"
             for f in w.correlations
         }
-        rows.append([w.trial, *(found.get(n, "") for n in names)])
+        rows.append([w.trial, *(shown.get(n, "") for n in names)])
     heads = ["trial", *names]
     return TableData("Correlation of the tip's residual", heads, rows, range(1, len(heads)))
 
@@ -182,16 +182,16 @@ def discovery_sentence(discovery: Discovery) -> str:
     """Sentence on the error with and without a discovered law."""
     where = "held-out error" if discovery.confirmed else "error on the trials fitted to"
     times = discovery.after_m / discovery.noise_m
-    left = "What is left is noise."
+    remainder = "What is left is noise."
     if not discovery.complete:
-        left = f"What is left is {times:.1f} times the noise: another effect is missing too."
+        remainder = f"What is left is {times:.1f} times the noise: another effect is missing too."
     elif times > NOISE_ALONE:
-        left = f"What is left is {times:.1f} times the noise: small, but more than noise."
+        remainder = f"What is left is {times:.1f} times the noise: small, but more than noise."
     doubt = "No trial of another motion is held out: the law is not confirmed."
-    said = left if discovery.confirmed else f"{left} {doubt}"
+    closing = remainder if discovery.confirmed else f"{remainder} {doubt}"
     return (
         f"With {discovery.effect} the {where} falls from {mm(discovery.before_m)} to "
-        f"{mm(discovery.after_m)} mm, noise {mm(discovery.noise_m)} mm. {said}"
+        f"{mm(discovery.after_m)} mm, noise {mm(discovery.noise_m)} mm. {closing}"
     )
 
 
@@ -201,14 +201,14 @@ def suggestion_table(suggestion: Suggestion) -> TableData:
         [o.motion.describe(), f"{o.separation:.1f}", o.hardest, f"{o.power:.2f}"]
         for o in suggestion.options[:5]
     ]
-    first, *others = suggestion.candidates
-    note = f"distinguishes {first} from {', '.join(others)}; {_kept(suggestion)}"
+    first, *rivals = suggestion.candidates
+    note = f"distinguishes {first} from {', '.join(rivals)}; {_respected_limits(suggestion)}"
     heads = ["motion", "separation χ²", "hardest to distinguish", "power"]
     return TableData("Suggested motion, and the next best", heads, rows, (1, 3), note)
 
 
-def _kept(suggestion: Suggestion) -> str:
-    """Which limits the motions keep, and how many did not."""
+def _respected_limits(suggestion: Suggestion) -> str:
+    """Text: the limits that the motions respect, and the number of motions refused."""
     refused = sum(suggestion.refused.values())
     if suggestion.surroundings.picture_m is None:
         return (
@@ -222,7 +222,7 @@ def _kept(suggestion: Suggestion) -> str:
     )
 
 
-#: Why a diagnosis does not claim an effect, by what has to hold for it.
+#: Why a diagnosis does not claim an effect, by the condition that fails.
 _GATES = {
     "significant": "it is not significant on the trials fitted to",
     "confirmed": "the held-out trials do not confirm it",
@@ -231,7 +231,7 @@ _GATES = {
 }
 #: A probability below this is 0.00 as printed.
 _SHOWN = 0.005
-#: A gate that holds as surely as this limits nothing.
+#: Probability above which a gate is no limitation.
 _SURE = 0.99
 
 
@@ -239,12 +239,12 @@ def power_table(power: StudyPower) -> TableData:
     """Size, forecast, smallest size and nearest rival of every effect."""
     rows = [
         [
-            e.asked.effect.name,
-            e.asked.parameter.name,
+            e.query.effect.name,
+            e.query.parameter.name,
             _size(e, e.size),
             _chance(e.chances),
             _size(e, e.smallest),
-            e.asked.parameter.unit,
+            e.query.parameter.unit,
             *_rival(e),
         ]
         for e in power.effects
@@ -260,10 +260,10 @@ def power_table(power: StudyPower) -> TableData:
 
 def recovery_table(power: StudyPower) -> TableData | None:
     """Table of the copies' diagnoses; None if there were no copies."""
-    tried = [(e, e.recovery) for e in power.effects if e.recovery is not None]
-    if not tried:
+    diagnosed = [(e, e.recovery) for e in power.effects if e.recovery is not None]
+    if not diagnosed:
         return None
-    rows = [_recovered(e, recovery) for e, recovery in tried]
+    rows = [_recovered(e, recovery) for e, recovery in diagnosed]
     heads = (
         *("effect", "size", "forecast", "found", "95 %", "confused"),
         *("undecided", "missed", "unexplained"),
@@ -277,13 +277,13 @@ def recovery_table(power: StudyPower) -> TableData | None:
 
 
 def power_sentences(power: StudyPower) -> list[str]:
-    """One or two of every effect."""
+    """Sentences on every effect's power."""
     return [s for e in power.effects for s in _sentences(e)]
 
 
 def _sentences(effect: EffectPower) -> Iterator[str]:
-    asked, chances = effect.asked, effect.chances
-    name = parameter_in_words(f"{asked.effect.name}.{asked.parameter.name}", asked.parameter.unit)
+    query, chances = effect.query, effect.chances
+    name = parameter_in_words(f"{query.effect.name}.{query.parameter.name}", query.parameter.unit)
     if chances is None:
         yield f"No size of {name} within its bounds is found with {POWER:.0%}."
         return
@@ -297,25 +297,25 @@ def _sentences(effect: EffectPower) -> Iterator[str]:
     if gates[least] < _SURE:
         yield f"If not, most often {_GATES[least]} ({1.0 - gates[least]:.2f})."
     if chances.confused and chances.confused[0][1] >= _SHOWN:
-        other, p = chances.confused[0]
-        yield f"It is taken for {other} with a probability of {p:.2f}."
+        rival, p = chances.confused[0]
+        yield f"It is taken for {rival} with a probability of {p:.2f}."
     if effect.recovery is not None and effect.recovery.confused_with:
-        others = ", ".join(f"{n} ({k})" for n, k in effect.recovery.confused_with)
-        yield f"Copies were taken for {others}."
+        rivals = ", ".join(f"{n} ({k})" for n, k in effect.recovery.confused_with)
+        yield f"Copies were taken for {rivals}."
 
 
 def _recovered(effect: EffectPower, recovery: Recovery) -> list[str]:
     share, low, high = recovery.share
     count = len(recovery.outcomes)
     return [
-        effect.asked.effect.name,
+        effect.query.effect.name,
         _size(effect, effect.size),
         _chance(effect.chances),
         f"{recovery.count('found')} of {count}, {share:.2f}",
         f"{low:.2f} … {high:.2f}",
         *(
-            str(recovery.count(*said))
-            for said in (("confused",), ("undecided", "failed"), ("missed",), ("unexplained",))
+            str(recovery.count(*outcomes))
+            for outcomes in (("confused",), ("undecided", "failed"), ("missed",), ("unexplained",))
         ),
     ]
 
@@ -328,7 +328,7 @@ def _rival(effect: EffectPower) -> tuple[str, str]:
 
 
 def _size(effect: EffectPower, size: float | None) -> str:
-    return "–" if size is None else size_in_digits(size, effect.asked.parameter.default)
+    return "–" if size is None else size_in_digits(size, effect.query.parameter.default)
 
 
 def _chance(chances: Chances | None) -> str:

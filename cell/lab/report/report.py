@@ -44,9 +44,9 @@ from cell.lab.report.wording import (
     catalogue_entry,
     correlation,
     digits,
-    left_in_words,
     noise_in_words,
     noise_label,
+    residual_in_words,
 )
 from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
 from cell.lab.strength.compare import NOTICEABLE, Comparison
@@ -54,9 +54,9 @@ from cell.lab.strength.profiles import ParameterProfile, profile_sentences
 from cell.lab.strength.trial_residual import TrialResidual
 from cell.study.facts import sensors_in_words
 
-#: Signals that a residual goes with, listed if the correlation is at least this.
+#: Smallest correlation of a residual with a listed signal.
 LEAST_CORRELATION = 0.2
-#: Models drawn over another for which it is drawn larger, at most.
+#: Most models drawn over another that enlarge it.
 MOST_ABOVE = 3
 
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -132,7 +132,7 @@ def comparison_page(comparisons: Sequence[Comparison]) -> str:
     )
 
 
-def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
+def profile_page(study: str, profiles: Sequence[ParameterProfile]) -> str:
     """Page of a model's profile likelihoods: curves, and intervals next to those of the fit."""
     rows = [
         [
@@ -143,15 +143,15 @@ def profile_page(study: str, found: Sequence[ParameterProfile]) -> str:
             _range(p.low, p.high),
             p.unit,
         ]
-        for p in found
+        for p in profiles
     ]
     heads = ("parameter", "fitted", "95 % by curvature", "likeliest", "95 % by profile", "unit")
     return page(
         _TEMPLATES,
         "profiles.html",
         f"Profiles of {study}",
-        remarks=profile_sentences(found),
-        curves=Plot.of(profile_curves(found)),
+        remarks=profile_sentences(profiles),
+        curves=Plot.of(profile_curves(profiles)),
         profiles=TableData("", heads, rows, (1, 2, 3, 4)),
     )
 
@@ -199,12 +199,12 @@ def _names(diagnosis: Diagnosis) -> str:
 def _facts(comparison: Comparison) -> str:
     study = comparison.study
     markers = len(study.arc_length_m)
-    said = sensors_in_words(study.trials)
+    sensors = sensors_in_words(study.trials)
     counts = f"{len(study.role('fit'))} fitted, {len(study.role('validate'))} held out"
     return (
         f"{counted(len(study.trials), 'trial')} ({counts}), {counted(markers, 'marker')} on "
         f"{study.cable.free_length_m * 1e3:.0f} mm of cable; "
-        f"{noise_in_words(comparison)}{said and f'; {said}'}. Errors are rms per coordinate."
+        f"{noise_in_words(comparison)}{sensors and f'; {sensors}'}. Errors are rms per coordinate."
     )
 
 
@@ -217,31 +217,31 @@ def _where(series: Sequence[Series]) -> dict[str, Plot | TableData]:
         role = "fitted" if trial.role == "fit" else "held out"
         errors = [f"{w.rms_m * 1e3:.3f}" for w in wheres]
         last = wheres[-1]
-        left = left_in_words(last, series[-1].comparison)
-        rows.append([trial.name, role, *errors, left, _goes_with(wheres[0])])
+        residual = residual_in_words(last, series[-1].comparison)
+        rows.append([trial.name, role, *errors, residual, _goes_with(wheres[0])])
     numbers = range(2, 2 + len(series))
     table = TableData("", heads, rows, numbers)
     return {"profiles": Plot.of(profiles(series)), "table": table}
 
 
 def _goes_with(where: TrialResidual) -> str:
-    found = [
+    signals = [
         f"{f.signal} ({correlation(f.correlation)}{'*' if f.p_value < NOTICEABLE else ''})"
         for f in where.correlations
         if abs(f.correlation) >= LEAST_CORRELATION
     ]
-    return ", ".join(found[:2]) or "–"
+    return ", ".join(signals[:2]) or "–"
 
 
 def _trials(series: Sequence[Series]) -> list[dict[str, object]]:
-    """Overlay and residual maps of every trial; one is shown at a time, at first the worst."""
+    """Overlay and residual maps of every trial; one is shown at a time, the worst first."""
     comparison = series[0].comparison
     worst = int(np.argmax([w.rms_m if np.isfinite(w.rms_m) else 0.0 for w in comparison.where]))
-    found: list[dict[str, object]] = []
+    trials: list[dict[str, object]] = []
     for i, trial in enumerate(comparison.study.trials):
         role = "fitted" if trial.role == "fit" else "held out"
         wrench = wrench_overlay(series, trial.name)
-        found.append(
+        trials.append(
             {
                 "name": trial.name,
                 "note": f"{role}, largest error" if i == worst else role,
@@ -251,7 +251,7 @@ def _trials(series: Sequence[Series]) -> list[dict[str, object]]:
                 "wrench": None if wrench is None else Plot.of(wrench),
             }
         )
-    return found
+    return trials
 
 
 def _parameters(diagnosis: Diagnosis) -> TableData:
@@ -270,7 +270,7 @@ def _parameters(diagnosis: Diagnosis) -> TableData:
 
 
 def _laws(diagnosis: Diagnosis, model: Identified) -> list[dict[str, object]]:
-    """The law of each accepted effect, as its file states it, and where it is described further."""
+    """The law of each accepted effect from its file, and its entry of the manual."""
     accepted, laws = {f.effect for f in diagnosis.missing}, list[dict[str, object]]()
     for effect in (e for e in model.space.effects if e.name in accepted):
         first, *others = inspect.cleandoc(effect.__doc__ or "").split("\n\n")

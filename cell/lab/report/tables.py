@@ -1,4 +1,4 @@
-"""What a diagnosis prints: one plain sentence, and tables."""
+"""The output of a diagnosis: one plain sentence, and tables."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from cell.lab.report.wording import (
     peak_in_words,
     place_in_words,
     places,
+    reasons_not_claimed,
     short,
     unexplained,
-    why_not_told,
     with_interval,
 )
 from cell.lab.strength.compare import Comparison
 from cell.study.facts import sensors_in_words
 
-#: Said where no check failed: the search was stopped.
+#: Text if no check failed, because the search was stopped.
 NOT_WHY = "These motions cannot show why."
-#: Column of what was fitted to held-out trials too.
+#: Column of models that were fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
-#: Up to so many times the noise a remaining error is called noise.
+#: Multiple of the noise up to which a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.most_over_noise
 _SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
 _COLOURS = {"present": "green", "inspect": "yellow", "absent": "dim"}
@@ -50,8 +50,8 @@ def sentence(
 ) -> str:
     """The result of a diagnosis in one sentence, for a production engineer.
 
-    baseline  the model without the effects found, compared with the trials: to say where it fails
-    final     with them: to say whether what is left is noise in every respect
+    baseline  comparison of the model without added effects: where it fails
+    final     comparison with them: whether the residual is noise in every respect
     """
     noise_mm = diagnosis.noise_m * 1e3
     before_mm = _shown_mm(diagnosis.baseline)
@@ -69,18 +69,18 @@ def sentence(
     if diagnosis.ended_early and not diagnosis.missing:
         return interrupted(diagnosis, misses)
     if not diagnosis.missing:
-        return f"{misses}, {at_noise(diagnosis)}. {why_not_told(diagnosis) or NOT_WHY}"
+        return f"{misses}, {at_noise(diagnosis)}. {reasons_not_claimed(diagnosis) or NOT_WHY}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)
     names = " and ".join(map(class_in_words, diagnosis.missing))
-    rest = f"{after_mm / noise_mm:.1f} times the noise, not yet explained"
+    remainder = f"{after_mm / noise_mm:.1f} times the noise, not yet explained"
     if after_mm < NOISE_ALONE * noise_mm:
-        rest = noise_like(noise_mm, final)
-    hedge = f" {why_not_told(diagnosis)}" if diagnosis.verdict == "cannot_tell" else ""
-    return f"{misses}; with {names} in it {short(after_mm)} mm: {rest}.{hedge}"
+        remainder = noise_like(noise_mm, final)
+    hedge = f" {reasons_not_claimed(diagnosis)}" if diagnosis.verdict == "cannot_tell" else ""
+    return f"{misses}; with {names} in it {short(after_mm)} mm: {remainder}.{hedge}"
 
 
 def _worst_place(comparison: Comparison) -> str:
-    """Which part of the cable, and which phase of the motion, have the largest error."""
+    """Text: part of the cable and phase of the motion with the largest error."""
     by_marker = rms_over([w.by_arc_length.rms_m for w in comparison.where])
     if not np.isfinite(by_marker).any():
         return ""
@@ -99,8 +99,8 @@ def _worst_place(comparison: Comparison) -> str:
 
 def nearest_table(diagnosis: Diagnosis) -> TableData:
     """Table, for an unexplained study, of the effects with the smallest residuals."""
-    base, left = diagnosis.baseline, diagnosis.left
-    before_m = float("nan") if left is None else left.before_rms_m
+    base, rest = diagnosis.baseline, diagnosis.left
+    before_m = float("nan") if rest is None else rest.before_rms_m
     each = [("none", before_m, base, "")]
     each += [(n.effect, n.left_rms_m, n.errors, peak_in_words(n.peak)) for n in diagnosis.nearest]
     rows = [
@@ -120,33 +120,33 @@ def nearest_table(diagnosis: Diagnosis) -> TableData:
 
 def waterfall_table(diagnosis: Diagnosis) -> TableData:
     """Error of the baseline, after each effect added, and the noise."""
-    in_part, left = bool(diagnosis.partial), diagnosis.left
+    in_part, rest = bool(diagnosis.partial), diagnosis.left
     heads = ["model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p"]
     base, noise = diagnosis.baseline, mm(diagnosis.noise_m)
-    before = ["–" if left is None else mm(left.before_rms_m)] * in_part
+    before = ["–" if rest is None else mm(rest.before_rms_m)] * in_part
     errors = (mm(base.fit_rms_m), mm(base.heldout_rms_m))
     rows = [["baseline", *errors, *before, "", "", ""]]
-    for found in diagnosis.missing or diagnosis.partial:
+    for effect in diagnosis.missing or diagnosis.partial:
         parameters = ", ".join(
             f"{name} {with_interval(p.value, p.low, p.high)} {p.unit}"
-            for name, p in found.parameters.items()
+            for name, p in effect.parameters.items()
         )
-        tied = f" or {', '.join(found.tied_with)}" if found.tied_with else ""
-        fitted = mm(found.errors.fit_rms_m)
-        held = mm(found.errors.heldout_rms_m)
+        tied = f" or {', '.join(effect.tied_with)}" if effect.tied_with else ""
+        fitted = mm(effect.errors.fit_rms_m)
+        heldout = mm(effect.errors.heldout_rms_m)
         rows.append(
             [
-                f"+ {found.effect}{tied}",
-                *(("–", "–", fitted) if in_part else (fitted, held)),
+                f"+ {effect.effect}{tied}",
+                *(("–", "–", fitted) if in_part else (fitted, heldout)),
                 parameters,
-                chance(found.p_value),
-                places(found.delta_bic, 0),
+                chance(effect.p_value),
+                places(effect.delta_bic, 0),
             ]
         )
     label = noise_label(diagnosis.noise_is_stated)
     rows.append([label, noise, noise, *[noise] * in_part, "", "", ""])
-    words = {0, heads.index("parameters (95 %)")}
-    numbers = [i for i in range(len(heads) + 1) if i not in words]
+    texts = {0, heads.index("parameters (95 %)")}
+    numbers = [i for i in range(len(heads) + 1) if i not in texts]
     return TableData("Error, mm rms per coordinate", [*heads, "ΔBIC"], rows, numbers)
 
 
@@ -164,7 +164,7 @@ def ranking_table(diagnosis: Diagnosis) -> TableData:
 def limits_table(diagnosis: Diagnosis) -> TableData:
     """Table of the limits of effects that are neither named nor tied."""
     rows = []
-    for limit in sorted(diagnosis.limits, key=lambda one: one.high is None):
+    for limit in sorted(diagnosis.limits, key=lambda entry: entry.high is None):
         possible = "this study could not have shown it"
         if limit.low is not None and limit.high is not None:
             unit = "" if limit.unit == "1" else limit.unit
@@ -181,7 +181,7 @@ def limits_table(diagnosis: Diagnosis) -> TableData:
 
 
 def check_rows(checks: Sequence[CheckResult]) -> list[tuple[str, str, str, str]]:
-    """Question, answer, limit and result of every check."""
+    """Question, statistic, limit and result of every check."""
     words = {True: "passed", False: "failed", None: "–"}
     return [
         (
@@ -206,21 +206,21 @@ def checks_table(checks: Sequence[CheckResult]) -> TableData:
     return TableData("What the verdict rests on", heads, check_rows(checks), (1, 2), note, colours)
 
 
-def agreement_table(found: Sequence[Agreement]) -> TableData:
-    """Estimates of the parameters per trial, of all trials, their spread, whether they agree."""
+def agreement_table(parts: Sequence[Agreement]) -> TableData:
+    """Estimates of the parameters per trial and jointly, their spread, and their agreement."""
 
-    def own(said: TrialValue) -> str:
-        if said.value is None or said.low is None or said.high is None:
+    def text(estimate: TrialValue) -> str:
+        if estimate.value is None or estimate.low is None or estimate.high is None:
             return "–"
-        return f"{digits(said.value, 4)} ({' … '.join(apart(said.low, said.high))})"
+        return f"{digits(estimate.value, 4)} ({' … '.join(apart(estimate.low, estimate.high))})"
 
-    heads = ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in found)]
-    trials = zip(*(a.by_trial for a in found), strict=True)
+    heads = ["trial", *(f"{a.parameter}{'' if a.unit == '1' else f', {a.unit}'}" for a in parts)]
+    trials = zip(*(a.by_trial for a in parts), strict=True)
     rows = [
-        *([values[0].trial, *map(own, values)] for values in trials),
-        ["all together", *(digits(a.value, 4) for a in found)],
-        ["spread", *(digits(a.spread, 2) for a in found)],
-        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in found)],
+        *([values[0].trial, *map(text, values)] for values in trials),
+        ["all together", *(digits(a.value, 4) for a in parts)],
+        ["spread", *(digits(a.spread, 2) for a in parts)],
+        ["they agree", *("yes" if a.agrees else f"no, p {chance(a.p_value, '= ')}" for a in parts)],
     ]
     note = (
         "Estimate per trial, 95 %, with the shape of EI along the cable and the exponent held at "
@@ -233,9 +233,9 @@ def agreement_table(found: Sequence[Agreement]) -> TableData:
 def diagnosis_parts(
     diagnosis: Diagnosis, comparisons: Sequence[Comparison], steps: Sequence[NextStep]
 ) -> list[str | TableData]:
-    """Everything that is printed of a diagnosis: sentences and tables in order.
+    """Sentences and tables of a diagnosis, in order.
 
-    comparisons  of the baseline, and last of the model with everything found
+    comparisons  of the baseline first, and of the model with all effects last
     """
     agreement = diagnosis.agreement
     sensors = sensors_in_words(comparisons[0].study.trials)
@@ -279,12 +279,12 @@ def knots_lines(knots: int) -> list[str]:
 
 
 def warning_lines(warnings: Sequence[Doubt]) -> list[str]:
-    """One line each, for the top of what is printed."""
+    """One line for each warning."""
     return [f"Warning: {w.message}." for w in warnings]
 
 
 def steps_text(steps: Sequence[NextStep]) -> str:
-    """Next steps as text: why, and below it the command."""
+    """Next steps as text: the reason, and below it the command."""
     return "\n".join(
         f"{step.why}:\n    {step.command}" if step.command else step.why for step in steps
     )

@@ -11,7 +11,7 @@ import numpy as np
 from cell.cable.effects import library, unscreened
 from cell.cable.effects.base import after_number
 from cell.files.words import counted
-from cell.lab.data.prepared import ERRS
+from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import (
     Agreement,
     Diagnosis,
@@ -24,7 +24,7 @@ from cell.lab.strength.trial_residual import TrialResidual
 
 
 def catalogue_entry(effects: Sequence[str]) -> str:
-    """Sentence that refers to the manual's entries on these effects; empty if there are none."""
+    """Sentence that refers to the manual's entries on these effects; empty without entries."""
     described = library() | unscreened()
     names = [name for name in dict.fromkeys(effects) if name in described]
     if not names:
@@ -33,7 +33,7 @@ def catalogue_entry(effects: Sequence[str]) -> str:
     return f"Limits, confusions and remedies: `cell help effects`, {entries} {', '.join(names)}."
 
 
-def why_not_told(diagnosis: Diagnosis) -> str:
+def reasons_not_claimed(diagnosis: Diagnosis) -> str:
     """The failed checks that prevent a claim, as text; empty if none failed."""
     return " ".join(c.failed for c in diagnosis.checks if c.passed is False)
 
@@ -44,38 +44,38 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
     misses  how much the model misses and where, the beginning of the sentence
     """
     noise = f"{noise_name} is {short(diagnosis.noise_m * 1e3)} mm"
-    left = diagnosis.left
+    rest = diagnosis.left
     if "not_searched" in diagnosis.codes:
         return (
             f"{misses}, {noise}: this is not a model of this cable, and no effect was looked for."
         )
     if not diagnosis.partial:
-        said = f"{misses}, {noise}, and no effect that was tried explains it."
-        if left is not None:
-            before = f"{short(left.before_rms_m * 1e3)} mm"
-            said += f" Fitted to all trials it misses {before}{_near(diagnosis)}."
-        return said
+        text = f"{misses}, {noise}, and no effect that was tried explains it."
+        if rest is not None:
+            before = f"{short(rest.before_rms_m * 1e3)} mm"
+            text += f" Fitted to all trials it misses {before}{_near(diagnosis)}."
+        return text
     names = " and ".join(map(class_in_words, diagnosis.partial))
     explains, it = ("explains", "it") if len(diagnosis.partial) == 1 else ("explain", "them")
-    said = f"{misses}, {noise}; {names} {explains} most of it, not all"
-    if left is not None:
-        said += (
-            f": fitted to all trials the model misses {short(left.before_rms_m * 1e3)} mm without "
-            f"{it} and {short(left.rms_m * 1e3)} mm with {it}, {left.over_noise:.1f} times the "
-            f"noise, most {peak_in_words(left.peak)}"
+    text = f"{misses}, {noise}; {names} {explains} most of it, not all"
+    if rest is not None:
+        text += (
+            f": fitted to all trials the model misses {short(rest.before_rms_m * 1e3)} mm without "
+            f"{it} and {short(rest.rms_m * 1e3)} mm with {it}, {rest.over_noise:.1f} times the "
+            f"noise, most {peak_in_words(rest.peak)}"
         )
-    return f"{said}. No effect that was tried explains the remaining error."
+    return f"{text}. No effect that was tried explains the remaining error."
 
 
 def interrupted(diagnosis: Diagnosis, misses: str) -> str:
     """Sentence for a diagnosis that ended early, with the nearest effect until then."""
     why = "Interrupted." if "interrupted" in diagnosis.codes else "The limit of work was reached."
-    said = f"{why} {misses}, {at_noise(diagnosis)}"
-    left = diagnosis.left
-    if not diagnosis.nearest or left is None:
-        return f"{said}; no effect was fitted yet."
-    over_all = f"Over all trials it misses {short(left.before_rms_m * 1e3)} mm{_near(diagnosis)}"
-    return f"{said}. {over_all}; nothing confirmed."
+    text = f"{why} {misses}, {at_noise(diagnosis)}"
+    rest = diagnosis.left
+    if not diagnosis.nearest or rest is None:
+        return f"{text}; no effect was fitted yet."
+    over_all = f"Over all trials it misses {short(rest.before_rms_m * 1e3)} mm{_near(diagnosis)}"
+    return f"{text}. {over_all}; nothing confirmed."
 
 
 def at_noise(diagnosis: Diagnosis) -> str:
@@ -90,16 +90,16 @@ def noise_label(stated: bool) -> str:
 
 
 def _near(diagnosis: Diagnosis) -> str:
-    """What the nearest effects leave of an error, if it is less."""
+    """Error with each of the nearest effects, where it is smaller."""
     before_m = np.inf if diagnosis.left is None else diagnosis.left.before_rms_m
-    less = [n for n in diagnosis.nearest if short(n.left_rms_m * 1e3) != short(before_m * 1e3)]
-    found = [f"{short(n.left_rms_m * 1e3)} mm with {plain(n.effect)}" for n in less]
-    return f", {_listed(found)}" if found else ", and no effect makes that less"
+    smaller = [n for n in diagnosis.nearest if short(n.left_rms_m * 1e3) != short(before_m * 1e3)]
+    errors = [f"{short(n.left_rms_m * 1e3)} mm with {plain(n.effect)}" for n in smaller]
+    return f", {_listed(errors)}" if errors else ", and no effect makes that less"
 
 
-def class_in_words(found: MissingEffect) -> str:
-    """An effect and those that cannot be told from it."""
-    return " or ".join(plain(n) for n in (found.effect, *found.tied_with))
+def class_in_words(missing: MissingEffect) -> str:
+    """An effect and those tied with it."""
+    return " or ".join(plain(n) for n in (missing.effect, *missing.tied_with))
 
 
 def noise_like(noise_mm: float, final: Comparison | None) -> str:
@@ -107,7 +107,7 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
     if final is None:
         return f"camera noise ({short(noise_mm)} mm)"
     patterns, trials = final.patterns(), len(final.where)
-    seen = (
+    pattern = (
         f"in {patterns} of {counted(trials, 'trial')} it has a pattern, too small to "
         "identify its cause"
     )
@@ -115,18 +115,18 @@ def noise_like(noise_mm: float, final: Comparison | None) -> str:
         return (
             f"camera noise ({short(noise_mm)} mm)"
             if not patterns
-            else (f"no larger than camera noise ({short(noise_mm)} mm); {seen}")
+            else (f"no larger than camera noise ({short(noise_mm)} mm); {pattern}")
         )
     rest_mm = final.noise_at_rest_m * 1e3
     camera = f"; camera noise at rest is {short(rest_mm)} mm" if np.isfinite(rest_mm) else ""
-    said = f"within the stated error of the measurement ({short(noise_mm)} mm){camera}"
-    return said if not patterns else f"{said}; {seen}"
+    text = f"within the stated error of the measurement ({short(noise_mm)} mm){camera}"
+    return text if not patterns else f"{text}; {pattern}"
 
 
-def left_in_words(where: TrialResidual, comparison: Comparison) -> str:
+def residual_in_words(where: TrialResidual, comparison: Comparison) -> str:
     """The residual of a trial in words: noise, a pattern within the noise, or more than noise."""
     white = not where.whiteness_p_value < NOTICEABLE
-    if where.rms_m > ERRS * comparison.noise_m:
+    if where.rms_m > ERROR_RATIO * comparison.noise_m:
         return "more than noise" if white else "a pattern above the noise"
     if white:
         return "noise"
@@ -138,7 +138,7 @@ def left_in_words(where: TrialResidual, comparison: Comparison) -> str:
 
 
 def noise_in_words(comparison: Comparison) -> str:
-    """The noise, and how it is known."""
+    """The noise and its source."""
     at_rest_m = comparison.noise_at_rest_m
     if not comparison.noise_is_stated:
         return f"camera noise {short(comparison.noise_m * 1e3)} mm, measured at rest"
@@ -159,25 +159,25 @@ def mm(value_m: float) -> str:
     return "–" if np.isnan(value_m) else f"{value_m * 1e3:.3f}"
 
 
-def agreement_sentence(found: Sequence[Agreement]) -> str:
+def agreement_sentence(agreements: Sequence[Agreement]) -> str:
     """Which parameters agree between trials, and which do not; "" for a single trial."""
-    if not found:
+    if not agreements:
         return ""
-    trials = f"The {len(found[0].by_trial)} trials"
-    one = [parameter_in_words(a.parameter, a.unit) for a in found if a.agrees]
-    apart = [
-        f"{parameter_in_words(a.parameter, a.unit)}: {_said_by_trials(a)}"
-        for a in found
+    trials = f"The {len(agreements[0].by_trial)} trials"
+    agreed = [parameter_in_words(a.parameter, a.unit) for a in agreements if a.agrees]
+    disagreements = [
+        f"{parameter_in_words(a.parameter, a.unit)}: {_estimates_by_trial(a)}"
+        for a in agreements
         if not a.agrees
     ]
-    if not apart:
-        return f"{trials} agree on {_listed(one)}."
-    others = f" They agree on {_listed(one)}." if one else ""
-    return f"{trials} disagree on {'; on '.join(apart)}.{others}"
+    if not disagreements:
+        return f"{trials} agree on {_listed(agreed)}."
+    agreeing = f" They agree on {_listed(agreed)}." if agreed else ""
+    return f"{trials} disagree on {'; on '.join(disagreements)}.{agreeing}"
 
 
-def _said_by_trials(agreement: Agreement) -> str:
-    """The range of what trials say of a parameter alone, and how surely they differ."""
+def _estimates_by_trial(agreement: Agreement) -> str:
+    """Range of the estimates per trial, and the p-value of their differences."""
     values = [t.value for t in agreement.by_trial if t.value is not None]
     unit = after_number(agreement.unit)
     return (
@@ -187,7 +187,7 @@ def _said_by_trials(agreement: Agreement) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names as a person lists them."""
+    """Names as a list with commas and a final "and"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -214,7 +214,7 @@ def plain(name: str) -> str:
 def parameter_in_words(name: str, unit: str) -> str:
     """A parameter as words: `added_mass.kg_per_m` is "added mass (kg/m)".
 
-    A unit at the end of its name, as names in code have it, is shown as one.
+    A unit at the end of the name is shown in parentheses.
     """
     owner, _, own = name.rpartition(".")
     spoken = unit.replace("/", "_per_").replace("·", "_").replace("²", "2").replace("³", "3")
@@ -225,7 +225,7 @@ def parameter_in_words(name: str, unit: str) -> str:
 
 
 def short(value_mm: float) -> str:
-    """Two decimals, or two digits of what is smaller."""
+    """Two decimals, or two significant digits of values below 0.1."""
     return f"{value_mm:.2f}" if value_mm >= 0.0995 else f"{value_mm:.2g}"
 
 
@@ -248,22 +248,22 @@ def size_in_digits(value: float, none: float) -> str:
 
 
 def places(value: float, many: int) -> str:
-    """A number with so many decimals; what rounds to 0 has no sign."""
+    """A number with `many` decimals; a value that rounds to 0 has no sign."""
     shown = f"{value:.{many}f}"
     return shown if float(shown) else shown.lstrip("-")
 
 
 def correlation(value: float) -> str:
-    """A correlation with its sign; what rounds to 0 has none."""
+    """A correlation with its sign; a value that rounds to 0 has none."""
     shown = f"{value:+z.2f}"
     return shown if float(shown) else "0.00"
 
 
 def by_evidence(diagnosis: Diagnosis) -> list[RankedEffect]:
-    """All effects as they are listed and drawn: by the χ² that each explains, the largest first."""
+    """All effects by the χ² that each explains, the largest first, as listed and drawn."""
     return sorted(diagnosis.ranking, key=lambda r: -r.score)
 
 
 def chance(p_value: float, equals: str = "") -> str:
-    """A probability with one digit; what no computer can write is not 0."""
+    """A probability with one digit; one that underflows to 0 is shown as "< 1e-300"."""
     return f"{equals}{p_value:.1g}" if p_value > 0.0 else "< 1e-300"

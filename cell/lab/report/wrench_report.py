@@ -22,7 +22,7 @@ from cell.study.wrench import WrenchFacts
 NAMES = ("force x", "force y", "moment")
 UNITS = ("mN", "mN", "mN·m")
 _MILLI = 1e3
-#: Pixels of a panel's height, and of what is around them.
+#: Height of a panel and of the figure's margins, px.
 _PANEL_PX, _AROUND_PX = 190, 90
 
 
@@ -46,28 +46,28 @@ def wrench_facts_table(facts: Sequence[WrenchFacts]) -> TableData:
 
 
 def wrench_figure(wrench: Wrench) -> go.Figure:
-    """What was measured, against time."""
-    there = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
-    titles = [f"{NAMES[i]}, {UNITS[i]}" for i in there]
-    figure = make_subplots(len(there), 1, shared_xaxes=True, subplot_titles=titles)
-    for row, i in enumerate(there, 1):
+    """The measured wrench by time."""
+    measured = np.flatnonzero(np.isfinite(wrench.values).any(axis=0))
+    titles = [f"{NAMES[i]}, {UNITS[i]}" for i in measured]
+    figure = make_subplots(len(measured), 1, shared_xaxes=True, subplot_titles=titles)
+    for row, i in enumerate(measured, 1):
         values = thinned(wrench.values)[:, i]
         _line(figure, thinned(wrench.t_s), values, ("measured", SEEN), (row, 1))
-    figure.update_xaxes(title="s", row=len(there), col=1)
-    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
+    figure.update_xaxes(title="s", row=len(measured), col=1)
+    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(measured))
 
 
 def wrenches_table(comparisons: Sequence[Comparison]) -> TableData | None:
     """Errors of models' wrenches by trial; None where none was measured.
 
-    What is beyond noise, and whether it has a pattern, is the last model's.
+    Excess over noise and whiteness are the last model's.
     """
     last = comparisons[-1]
     rows = []
     for w in last.wrenches:
-        each = [_of(c, w.trial) for c in comparisons]
+        wrenches = [_of(c, w.trial) for c in comparisons]
         for i in np.flatnonzero(np.isfinite(w.rms)):
-            errors = ["–" if e is None else _shown(e.rms[i]) for e in each]
+            errors = ["–" if e is None else _shown(e.rms[i]) for e in wrenches]
             beyond = _shown(w.beyond_noise[i]), chance(w.p_values[i])
             rows.append([w.trial, f"{NAMES[i]}, {UNITS[i]}", _shown(w.noise[i]), *errors, *beyond])
     names = ["error"] if len(comparisons) == 1 else [c.model for c in comparisons]
@@ -78,18 +78,18 @@ def wrenches_table(comparisons: Sequence[Comparison]) -> TableData | None:
 
 def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
     """Wrench measured and predicted, and its error, against time; None if there is none."""
-    found = [(s, w) for s in series if (w := _of(s.comparison, trial)) is not None]
-    if not found:
+    predictions = [(s, w) for s in series if (w := _of(s.comparison, trial)) is not None]
+    if not predictions:
         return None
-    first = found[0][1]
-    there = np.flatnonzero(np.isfinite(first.rms))
-    titles = [f"{NAMES[i]}{of}, {UNITS[i]}" for i in there for of in ("", ": error")]
-    figure = make_subplots(len(there), 2, shared_xaxes=True, subplot_titles=titles)
+    first = predictions[0][1]
+    axes = np.flatnonzero(np.isfinite(first.rms))
+    titles = [f"{NAMES[i]}{of}, {UNITS[i]}" for i in axes for of in ("", ": error")]
+    figure = make_subplots(len(axes), 2, shared_xaxes=True, subplot_titles=titles)
     t_s = thinned(first.t_s)
-    for row, i in enumerate(there, 1):
+    for row, i in enumerate(axes, 1):
         measured = thinned(first.measured)[:, i]
         _line(figure, t_s, measured, ("measured", SEEN), (row, 1), dots=True, named=row == 1)
-        for s, w in found:
+        for s, w in predictions:
             predicted, place = thinned(w.predicted)[:, i], (row, 1)
             _line(figure, t_s, predicted, (s.name, s.colour), place, width=s.width, named=row == 1)
             error = thinned(w.measured - w.predicted)[:, i]
@@ -99,8 +99,8 @@ def wrench_overlay(series: Sequence[Series], trial: str) -> go.Figure | None:
             y0=-band, y1=band, fillcolor=NOISE, opacity=0.2, layer="below", line_width=0,
             row=row, col=2,
         )  # fmt: skip
-    figure.update_xaxes(title="s", row=len(there))
-    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(there))
+    figure.update_xaxes(title="s", row=len(axes))
+    return laid_out(figure, _AROUND_PX + _PANEL_PX * len(axes))
 
 
 def _of(comparison: Comparison, trial: str) -> WrenchResidual | None:

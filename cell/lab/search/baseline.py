@@ -13,10 +13,10 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy, with_noise_from
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, with_noise_from
 from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
-from cell.lab.fit.corrections import corrected, with_gain_of, with_noise_given
+from cell.lab.fit.corrections import corrected, with_conditional_noise, with_gain_of
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver
 from cell.lab.fit.sensitivity import is_shape
 from cell.lab.fit.starts import MOST_GUESSES, cold_start
@@ -24,7 +24,7 @@ from cell.lab.search.extension import TEMPER
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, error_text
 from cell.lab.search.screen import screen
 
-#: Above this χ² per value the baseline cannot fit, and a tempered fit is a better place to start.
+#: Above this χ² per value the baseline cannot fit, and a tempered fit is a better start.
 MISFIT = 1.5
 
 
@@ -32,7 +32,7 @@ MISFIT = 1.5
 class SearchSetup:
     """Inputs of a search for effects; `FitCache.of` fits its baseline.
 
-    prepared         the study with the noise that its frames at rest show
+    prepared         the study with the noise from its frames at rest
     space            parameters of the baseline, with those of its effects
     library          effects that may be added, by name
     prior_q          (p,) coordinates of an earlier individual's model; None = there is none
@@ -41,7 +41,6 @@ class SearchSetup:
                      model lacked them, where a fit from their typical size leaves more than noise
     reference        model given which noise and mesh error were re-estimated; None = they were not
     earlier          models of an earlier search by their effects: where fits start
-    rules            limits for accepting an effect
     rules            limits for accepting an effect
     """
 
@@ -59,11 +58,11 @@ class SearchSetup:
 
 @dataclass(frozen=True, eq=False)
 class BaselineFit:
-    """The baseline as fitted.
+    """The fitted baseline.
 
-    prepared   the study with the noise and without the mesh's error that show given the baseline
-    tempered   the fit with residuals divided, where the baseline cannot fit
-    second     where it ended from another start, if one was tried
+    prepared   the study with noise and mesh error estimated given the baseline
+    tempered   the fit with residuals scaled down, where the baseline cannot fit
+    second     the fit from another start, if one was tried
     """
 
     prepared: PreparedStudy
@@ -76,8 +75,8 @@ class BaselineFit:
 class Baseline:
     """Fits the baseline of a search.
 
-    by_adding  its fit from where a search ends that adds effects of which nothing is known; None
-               if there are none
+    by_adding  its fit from the end of a search that adds the unknown effects one by one; None if
+               there are none
     """
 
     setup: SearchSetup
@@ -91,95 +90,94 @@ class Baseline:
         start = self._start(prepared)
         progress(f"fitting the model with {names}", 1, 3)
         fit = fit_model(prepared, space, start, options=POLISH)
-        gained = with_gain_of(prepared, fit)
-        if gained is not prepared:
-            prepared, start = gained, fit.q
+        calibrated = with_gain_of(prepared, fit)
+        if calibrated is not prepared:
+            prepared, start = calibrated, fit.q
             fit = fit_model(prepared, space, start, options=POLISH)
-        judged = with_noise_from(prepared, errors_m(prepared, fit))
-        if judged is not prepared:
-            fit = fit_model(judged, space, start, options=POLISH)
-        found = self._with_noise_and_mesh_error(BaselineFit(judged, fit))
-        error = error_text(found.prepared, found.fit.rms_m)
+        whitened = with_noise_from(prepared, errors_m(prepared, fit))
+        if whitened is not prepared:
+            fit = fit_model(whitened, space, start, options=POLISH)
+        result = self._with_noise_and_mesh_error(BaselineFit(whitened, fit))
+        error = error_text(result.prepared, result.fit.rms_m)
         progress(f"weighing the model with {names}, {error}", 2, 3)
-        expected_m = found.prepared.expected_m("fit")
-        prepared.work.note_fit((e.name for e in space.effects), found.fit.rms_m, expected_m)
-        count = found.prepared.count(fit_trials(found.prepared))
-        errs = found.fit.rms_m > ERRS * expected_m
-        far = found.fit.chi2 > MISFIT * count or (self.by_adding is not None and errs)
+        expected_m = result.prepared.expected_m("fit")
+        prepared.work.note_fit((e.name for e in space.effects), result.fit.rms_m, expected_m)
+        count = result.prepared.count(fit_trials(result.prepared))
+        misfit = result.fit.rms_m > ERROR_RATIO * expected_m
+        far = result.fit.chi2 > MISFIT * count or (self.by_adding is not None and misfit)
         if far and prepared.work.affords(f"other starts of the model with {names}"):
-            best = self._from_other_starts(found, start, count)
-            if self.by_adding is not None and best.fit is not found.fit:
-                # another model, given which noise shows
+            best = self._multistart(result, start, count)
+            if self.by_adding is not None and best.fit is not result.fit:
+                # re-estimate the noise given this model
                 best = self._with_noise_and_mesh_error(best)
-            found = best
-        prepared, fit = with_slope_solver(found.prepared, found.fit)
-        return replace(found, prepared=prepared, fit=fit)
+            result = best
+        prepared, fit = with_slope_solver(result.prepared, result.fit)
+        return replace(result, prepared=prepared, fit=fit)
 
     def _start(self, prepared: PreparedStudy) -> FloatArray:
-        """Where the first fit begins."""
+        """Start coordinates of the first fit."""
         if self.setup.start_q is not None:
             return self.setup.start_q
         start = cold_start(prepared, self.setup.space)
-        if self.setup.prior_q is not None:  # no other shapes than the earlier individual's
+        if self.setup.prior_q is not None:  # the shapes are the earlier individual's
             return start
         return self._of_likeliest_shape(prepared, self._scanned(prepared, start))
 
-    def _with_noise_and_mesh_error(self, found: BaselineFit) -> BaselineFit:
-        """The fit with the noise that all frames show given it, within what the rest allows.
+    def _with_noise_and_mesh_error(self, before: BaselineFit) -> BaselineFit:
+        """The fit with the noise of all frames given it, within the range from frames at rest.
 
-        And without the errors of its mesh and of rounded values, if it explains the study: one that
-        does not has others.
-        As it was where it cannot be simulated once more.
+        If it explains the study, mesh errors and those of rounded values are corrected too.  The
+        unchanged fit where it cannot be simulated again.
         """
         if self.setup.reference is not None:
-            return found
+            return before
         space, library = self.setup.space, self.setup.library
-        others = [e for name, e in library.items() if name not in {x.name for x in space.effects}]
-        fit, prepared = found.fit, with_noise_given(found.prepared, found.fit, others)
-        if fit.rms_m <= ERRS * prepared.expected_m("fit"):
+        further = [e for name, e in library.items() if name not in {x.name for x in space.effects}]
+        fit, prepared = before.fit, with_conditional_noise(before.prepared, before.fit, further)
+        if fit.rms_m <= ERROR_RATIO * prepared.expected_m("fit"):
             prepared = corrected(prepared, fit)
         try:
-            again = fit_model(prepared, space, fit.q, fit.initial_states, options=POLISH)
+            refitted = fit_model(prepared, space, fit.q, fit.initial_states, options=POLISH)
         except UNSIMULATED:
-            return found
-        return replace(found, prepared=prepared, fit=again)
+            return before
+        return replace(before, prepared=prepared, fit=refitted)
 
-    def _from_other_starts(self, found: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
-        """The best fit of a baseline that cannot fit from its first start; the next is kept, too.
+    def _multistart(self, first: BaselineFit, start: FloatArray, count: int) -> BaselineFit:
+        """The best fit from several starts, and the second best, of a baseline that cannot fit.
 
-        A model that lacks something puts it into EI(s); the prior keeps a tempered fit plausible.
+        EI(s) absorbs what a model lacks; the prior keeps a tempered fit plausible.
         """
-        fits, prepared = [found.fit], found.prepared
-        scale = TEMPER * float(np.sqrt(found.fit.chi2 / count))
+        fits, prepared = [first.fit], first.prepared
+        scale = TEMPER * float(np.sqrt(first.fit.chi2 / count))
         added = None if self.by_adding is None else self.by_adding(prepared)
         if added is not None:
-            fits = sorted([found.fit, added], key=lambda f: f.objective)
+            fits = sorted([first.fit, added], key=lambda f: f.objective)
         tempered = fit_model(prepared, self.setup.space, start, residual_scale=scale, options=REFIT)
         if not fits[0].solution.converged:
-            with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
+            with contextlib.suppress(*UNSIMULATED):  # its end may not be simulable
                 fits.append(fit_model(prepared, self.setup.space, tempered.q, options=POLISH))
-        best, *others = sorted(fits, key=lambda f: f.objective)
-        return BaselineFit(prepared, best, tempered, others[0] if others else None)
+        best, *worse = sorted(fits, key=lambda f: f.objective)
+        return BaselineFit(prepared, best, tempered, worse[0] if worse else None)
 
     def _scanned(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
-        """A start with effects that a fit finds from near only as the screen without them says."""
+        """A start with narrow effects, which a fit reaches only from near, from a screen."""
         space = self.setup.space
         narrow = [e for e in space.effects if any(p.scan for p in e.parameters)]
         if not narrow:
             return start
-        rest = space_with(space, [e for e in space.effects if e not in narrow])
-        q = start[[space.names.index(name) for name in rest.names]]
+        reduced = space_with(space, [e for e in space.effects if e not in narrow])
+        q = start[[space.names.index(name) for name in reduced.names]]
         natural = space.natural(start)
         with contextlib.suppress(*UNSIMULATED):
-            fit = fit_model(prepared, rest, q, options=REFIT)
-            for found in screen(prepared, fit, narrow):
-                for p, value in zip(found.effect.parameters, found.starts[0], strict=True):
-                    if (name := f"{found.effect.name}.{p.name}") in space.names:
+            fit = fit_model(prepared, reduced, q, options=REFIT)
+            for screened in screen(prepared, fit, narrow):
+                for p, value in zip(screened.effect.parameters, screened.starts[0], strict=True):
+                    if (name := f"{screened.effect.name}.{p.name}") in space.names:
                         natural[space.names.index(name)] = value
         return np.asarray(np.clip(space.coordinates(natural), space.low, space.high))
 
     def _of_likeliest_shape(self, prepared: PreparedStudy, start: FloatArray) -> FloatArray:
-        """Where first refits end from a start, and from it with effects of other shapes."""
+        """Best end of first refits from a start, and from it with effects of other shapes."""
         space, starts = self.setup.space, [start]
         for effect in space.effects:
             index = {

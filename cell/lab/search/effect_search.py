@@ -1,8 +1,8 @@
 """The search for effects that a model lacks.
 
 Forward: the effect with the most evidence is added while it is significant and confirmed on
-held-out trials.  Then every effect added is exchanged for every other while that brings evidence,
-and each is tested again with all others in.
+held-out trials.  Then every added effect is exchanged for every other while that increases the
+evidence, and each is tested again given all others.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ _LOG = logging.getLogger(__name__)
 
 def errors_in_words(candidate: FittedModel) -> str:
     """Fitted and held-out error, for the log."""
-    held = candidate.heldout
-    beyond = "none held out" if held is None else f"{held.rms_m * 1e3:.4f} mm held out"
-    return f"{candidate.fit.rms_m * 1e3:.4f} mm fitted, {beyond}"
+    heldout = candidate.heldout
+    held_out = "none held out" if heldout is None else f"{heldout.rms_m * 1e3:.4f} mm held out"
+    return f"{candidate.fit.rms_m * 1e3:.4f} mm fitted, {held_out}"
 
 
 @dataclass(frozen=True)
 class Confirmation:
     """Held-out test of one more effect.
 
-    gain         ln of how much likelier they become
-    fall_m2      of their mean square; least_m2: from which it matters
+    gain         ln likelihood ratio of the held-out trials
+    fall_m2      of their mean square error, m²; least_m2: smallest relevant one
     delta_chi2   that the effect explains of the trials fitted to
-    log_lr       ln of how much likelier the effect itself makes them, all else as fitted
+    log_lr       their ln likelihood ratio by the effect alone, the other parameters not refitted
     """
 
     gain: float
@@ -43,32 +43,32 @@ class Confirmation:
     delta_chi2: float
     log_lr: Callable[[], float]
 
-    def is_given(self, rules: Rules) -> bool:
-        """Whether they bear the effect out, by enough to matter."""
+    def is_confirmed(self, rules: Rules) -> bool:
+        """Whether the held-out trials confirm the effect, with a relevant size."""
         matters = self.gain > rules.heldout_gain and self.fall_m2 > self.least_m2
         return matters and self.log_lr() > rules.heldout_gain
 
     def is_impossible(self, rules: Rules) -> bool:
-        """Whether they cannot show an effect that the other trials show plainly."""
+        """Whether the held-out trials cannot show an effect that the fitted trials show clearly."""
         if self.gain < -rules.heldout_gain:
             return False
-        seen = self.log_lr()
-        plain = 2.0 * seen < rules.small_share * self.delta_chi2
-        return seen < rules.heldout_gain and plain
+        log_lr = self.log_lr()
+        weak = 2.0 * log_lr < rules.small_share * self.delta_chi2
+        return log_lr < rules.heldout_gain and weak
 
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedEffects:
     """The criterion of a diagnosis: an effect is significant, and held-out trials confirm it.
 
-    library  number of effects to choose from: those not refitted count as tried, because their
-             screen was no better than chance
+    fits     all effects of its library count as tried: those not refitted were not significant in
+             the screen
     """
 
     fits: FitCache
 
     def accepted(self, current: FittedModel, options: Sequence[FittedModel]) -> FittedModel | None:
-        """The option with the most evidence of those confirmed; else of those that cannot be."""
+        """The confirmed option with the most evidence; else the best that cannot be confirmed."""
         fits, rules = self.fits, self.fits.rules
         gains = [fits.gain(current, o) for o in options]
         adjusted = holm_among([g.p_value for g in gains], fits.tried)
@@ -77,7 +77,7 @@ class ConfirmedEffects:
             for o, g, p in zip(options, gains, adjusted, strict=True)
             if p < rules.significance and g.delta_bic > 0.0
         ]
-        sound = [o for o, c in likely if c is None or c.is_given(rules)]
+        sound = [o for o, c in likely if c is None or c.is_confirmed(rules)]
         if not sound:
             sound = [o for o, c in likely if c is not None and c.is_impossible(rules)]
         return max(sound, key=lambda o: o.evidence, default=None)
@@ -90,13 +90,13 @@ class ConfirmedEffects:
         return best if best.evidence > model.evidence + 1.0 else None
 
     def needed(self, rest: FittedModel, model: FittedModel) -> bool:
-        """Whether the model's effect that the rest lacks is confirmed given it."""
-        found, rules = self._confirmation(rest, model), self.fits.rules
-        kept = found is None or found.is_given(rules) or found.is_impossible(rules)
-        return kept and self.fits.gain(rest, model).delta_bic > 0.0
+        """Whether the effect that `rest` lacks is confirmed given the effects of `rest`."""
+        test, rules = self._confirmation(rest, model), self.fits.rules
+        passed = test is None or test.is_confirmed(rules) or test.is_impossible(rules)
+        return passed and self.fits.gain(rest, model).delta_bic > 0.0
 
     def _confirmation(self, small: FittedModel, large: FittedModel) -> Confirmation | None:
-        """What held-out trials say of the last effect of `large`; None if there are none."""
+        """Held-out test of the last effect of `large`; None if there are no held-out trials."""
         fits, rules = self.fits, self.fits.rules
         base = fits.base.heldout
         if small.heldout is None or large.heldout is None or base is None:
@@ -123,8 +123,8 @@ class SearchResult:
     singles    the baseline with each effect that was worth a fit
     model      the baseline with the effects accepted
     all_tried  none of `singles` was left out because the budget was spent
-    refined    the setup of a repeated search: given the model, the study shows another noise or
-               mesh error, which would be taken for a misfit or for another effect; None = the same
+    refined    setup of a repeated search, if noise or mesh error given the model differ, which
+               would be mistaken for a misfit or another effect; None = no repetition is needed
     """
 
     fits: FitCache
@@ -149,32 +149,32 @@ def _accepted(fits: FitCache) -> tuple[FittedModel, SearchSetup | None]:
     def in_time() -> bool:
         return fits.work.affords("further effects")
 
-    def kept(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+    def select(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
         better = criterion.accepted(current, options)
         if better is None:
             return []
-        if len(fits.added(better)) > 1 and not _two_leave_most(fits, better):
+        if len(fits.added(better)) > 1 and not _two_explain_little(fits, better):
             better = exchanged(fits, better, criterion.better, in_time)
         better = pruned(fits, better, criterion.needed)
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
         return [better]
 
-    for step, (current,) in enumerate(levels(base, fits.extended, kept)):
+    for step, (current,) in enumerate(levels(base, fits.extended, select)):
         explained = current is not base and fits.explained_by(current)
         if explained and (refined := noise_reestimated(fits, current)) is not None:
             return current, refined
         if step == rules.most_named or fits.is_below_stated(current):
             break
-        if _two_leave_most(fits, current):
+        if _two_explain_little(fits, current):
             break
-        if current is not base and not in_time():  # the baseline's were all refitted already
+        if current is not base and not in_time():  # the baseline's effects are all refitted already
             return current, None
     unexplained = current is not base and not fits.explained_by(current)
     return current, noise_reestimated(fits, current) if unexplained else None
 
 
-def _two_leave_most(fits: FitCache, current: FittedModel) -> bool:
-    """Whether two effects leave most of the error: one more, or exchanged, will not explain it."""
+def _two_explain_little(fits: FitCache, current: FittedModel) -> bool:
+    """Whether most of the error remains with two effects: a third will not explain it."""
     if len(fits.added(current)) < 2:
         return False
     return 1.0 - fits.removed_share(fits.base, current) > fits.rules.most_share

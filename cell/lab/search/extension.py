@@ -1,6 +1,6 @@
 """A fitted model with one effect more: the likeliest result of fits from several starts.
 
-`Extension` fits one effect, `Refits` several, side by side on all cores.
+`Extension` fits one effect, `Refits` several, in parallel on all cores.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy
 from cell.lab.data.work import Progress, side_by_side
 from cell.lab.fit.fitting import (
     Fit,
@@ -39,17 +39,17 @@ from cell.lab.search.fitted_model import (
 )
 from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
 
-#: Residuals of a fit that is far from noise are divided by this times the root of its χ².
+#: A tempered fit divides the residuals by this times the root of χ² per value.
 TEMPER = 3.0
 #: Fits of an effect from different starts; friction has several minima.
 SMOOTH_TRIES, ROUGH_TRIES = 1, 2
 PLACES = 2
-#: A refit that explains less than this share of what the screen promises is in a wrong minimum, if
+#: A refit that explains less than this share of the screen's prediction is in a wrong minimum, if
 #: there are other shapes to start from.
-KEPT = 0.5
-#: Passes after which a fit is given up that is still above what it has to be below.
+LEAST_SHARE = 0.5
+#: Iterations after which a fit is abandoned that is still above its required objective.
 ENOUGH_PASSES = 5
-#: Passes of a fit that looks for a place.
+#: Options of a fit that searches the place of a force.
 SEARCH = Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 
 
@@ -57,10 +57,10 @@ SEARCH = Options(tolerance=0.3, max_iterations=10, least_gain=1e-3, updates=3)
 class Extension:
     """A model of a study, with starting points of fits with one more effect.
 
-    origins    (p,) coordinates of what the model has already: its own, and others it may come from
-    far        whether the model may be far from the cable: then slopes say little of sizes
-    misfit     whether the model leaves more than noise: its cable may not be plausible, so that a
-               user's own effect is fitted from a uniform cable too
+    origins    (p,) start coordinates of the model's own parameters: as fitted, and alternatives
+    far        whether the model may be far from the cable: then slopes predict sizes badly
+    misfit     whether the residual exceeds noise: its cable may not be plausible, so that a user's
+               own effect is fitted from a uniform cable too
     """
 
     prepared: PreparedStudy
@@ -86,26 +86,26 @@ class Extension:
             promising = self._promising(space, effect, screens, starts)
             fits += self._fits_from(space, each_once(promising), options)
             fall = base.fit.objective - min((f.objective for f in fits), default=np.inf)
-            unkept = not placed and fall < KEPT * screens[0].score.statistic
-            if origin is base.fit.q and unkept:
-                rest = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
-                fits += self._fits_from(space, rest, options)
+            too_small = not placed and fall < LEAST_SHARE * screens[0].score.statistic
+            if origin is base.fit.q and too_small:
+                untried = [q for q in starts[: len(screens[0].starts)] if is_new(q, promising)]
+                fits += self._fits_from(space, untried, options)
         if self.misfit and effect.file is not None:
             fits += self._fits_from(space, self._own_starts(space, effect), options)
         if not fits:
             return None
-        # From a wrong place a force may follow the fitted motions best, and none beyond them.
-        tried = fits if placed else [self._lowest(fits, effect, options)]
+        # A force at a wrong place may fit best, but not predict: all places are compared by χ².
+        candidates = fits if placed else [self._lowest(fits, effect, options)]
         best = min(
-            (model_of_fit(self.prepared, effects, fit) for fit in tried), key=lambda c: c.chi2
+            (model_of_fit(self.prepared, effects, fit) for fit in candidates), key=lambda c: c.chi2
         )
         return self.at_least_nested(best, options)
 
     def at_least_nested(self, extended_model: FittedModel, options: Options) -> FittedModel:
-        """The model with one effect more, or its fit from the model itself if that ends lower.
+        """The model with one effect more, refitted from the nested model if it ended above that.
 
-        With the effect at zero it is the model itself: a fit of both that leaves more than the
-        model alone has ended in a wrong place.
+        With the effect at zero it is the nested model: a fit with a larger objective has ended in a
+        wrong minimum.
         """
         nested = self.base.fit.objective
         if extended_model.fit.objective <= nested or not np.isfinite(nested):
@@ -113,13 +113,13 @@ class Extension:
         effect, space = extended_model.effects[-1], extended_model.fit.space
         off = np.array([p.default if p.amplitude else p.starts[0] for p in effect.parameters])
         fits = self._fits_from(space, [extended(self.base.fit, space, effect, off)], options)
-        again = [model_of_fit(self.prepared, extended_model.effects, fit) for fit in fits]
-        return min([extended_model, *again], key=lambda c: c.fit.objective)
+        refitted = [model_of_fit(self.prepared, extended_model.effects, fit) for fit in fits]
+        return min([extended_model, *refitted], key=lambda c: c.fit.objective)
 
     def _own_starts(self, space: ParameterSpace, effect: type[Effect]) -> list[FloatArray]:
-        """A uniform cable with the effect at the values, and shares of them, that its file gives.
+        """A uniform cable with the effect at its typical values, and at fractions of them.
 
-        Given a cable that was bent to imitate an effect no screen says where that effect is.
+        If the cable's parameters imitate an effect, no screen finds that effect.
         """
         cable = cold_start(self.prepared.on_one_core(), space)
         values = scaled(effect, typical(effect))
@@ -133,7 +133,7 @@ class Extension:
         screens: Sequence[ScreenedEffect],
         origin: FloatArray,
     ) -> list[FloatArray]:
-        """Coordinates with the sizes that the screens have found, then with typical ones."""
+        """Coordinates with the sizes from the screens, then with typical ones."""
         guesses = _guesses(screens)
         values = scaled(effect, guesses) if self.far else guesses
         starts = [
@@ -165,36 +165,36 @@ class Extension:
         self, space: ParameterSpace, starts: Sequence[FloatArray], options: Options
     ) -> list[Fit]:
         """Fits from starts at which the cable can be simulated."""
-        found, initial_states = [], self.base.fit.initial_states
+        fits, initial_states = [], self.base.fit.initial_states
         for q in starts:
             with contextlib.suppress(*UNSIMULATED):
                 alone = self.prepared.on_one_core()
-                found.append(
+                fits.append(
                     fit_model(alone, space, q, initial_states, options=options, from_far=True)
                 )
-        return found
+        return fits
 
     def _lowest(self, fits: Sequence[Fit], effect: type[Effect], options: Options) -> Fit:
-        """The fit that ends lowest, of fits from several starts.
+        """The fit with the lowest objective, of fits from several starts.
 
-        One that is on its way is no worse than one that has arrived.  So those are taken on that
-        promise to end below all others, low enough for the effect to pay and to explain the study.
+        Unfinished fits are continued if their predicted objective is below all others, below BIC's
+        limit for the effect, and low enough to explain the study.
         """
         lowest = min(fits, key=lambda f: f.objective)
-        if len(fits) == 1 or lowest.objective > options.above[0]:  # given up
+        if len(fits) == 1 or lowest.objective > options.above[0]:  # abandoned
             return lowest
-        pays = self.base.fit.objective - penalty_of(self.prepared, [effect])
-        noise = ERRS**2 * self.prepared.count(fit_trials(self.prepared))
-        limit = min(lowest.objective, pays, noise)
-        coming = [f for f in fits if f.promised_objective < limit]
-        if all(f is lowest for f in coming):
+        bic_limit = self.base.fit.objective - penalty_of(self.prepared, [effect])
+        noise = ERROR_RATIO**2 * self.prepared.count(fit_trials(self.prepared))
+        limit = min(lowest.objective, bic_limit, noise)
+        promising = [f for f in fits if f.predicted_objective < limit]
+        if all(f is lowest for f in promising):
             return lowest
-        for fit in sorted(coming, key=lambda f: f.promised_objective):
-            lowest = min(lowest, self._taken_on(fit, lowest.objective), key=lambda f: f.objective)
+        for fit in sorted(promising, key=lambda f: f.predicted_objective):
+            lowest = min(lowest, self._continued(fit, lowest.objective), key=lambda f: f.objective)
         return lowest
 
-    def _taken_on(self, fit: Fit, lowest: float) -> Fit:
-        """A fit taken to convergence, if it soon is the lowest; where that cannot be, as it is."""
+    def _continued(self, fit: Fit, lowest: float) -> Fit:
+        """The fit continued to convergence if it becomes the lowest; itself if that fails."""
         options = replace(POLISH, above=(lowest, ENOUGH_PASSES))
         with contextlib.suppress(*UNSIMULATED):
             alone = self.prepared.on_one_core()
@@ -202,10 +202,9 @@ class Extension:
         return fit
 
     def _places(self, space: ParameterSpace, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Where tempered fits from all starts lead to, the best of them.
+        """Results of tempered fits from all starts, the best of them.
 
-        The place of a force is found from far away only while the residuals are not yet asked to
-        be noise.
+        A fit converges to the place of a distant force only while the residuals are tempered.
         """
         alone = self.prepared.on_one_core()
         count = alone.count(fit_trials(alone))
@@ -219,7 +218,7 @@ class Extension:
         return [f.q for f in sorted(fits, key=lambda f: f.objective)[:PLACES]]
 
     def _least_misfit(self, space: ParameterSpace, starts: FloatArray, count: int) -> FloatArray:
-        """The starts (lanes, p) with the least misfit, worth a fit each."""
+        """The `count` starts of (lanes, p) with the least misfit."""
         alone = self.prepared.on_one_core()
         square = np.sum(residuals(alone, space, fit_trials(alone), starts) ** 2, axis=1)
         order = np.argsort(np.where(np.isfinite(square), square, np.inf), kind="stable")
@@ -232,35 +231,35 @@ def _guesses(screens: Sequence[ScreenedEffect]) -> list[FloatArray]:
 
 
 def continued(prepared: PreparedStudy, model: FittedModel, options: Options) -> FittedModel:
-    """The model fitted from where it is, to the study as it is now.
+    """The model refitted to a prepared study, from its own parameters.
 
     raises  UnsimulatedError
     """
     fit, alone = model.fit, prepared.on_one_core()
-    again = fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)
-    return model_of_fit(prepared, model.effects, again)
+    refitted = fit_model(alone, fit.space, fit.q, fit.initial_states, options=options)
+    return model_of_fit(prepared, model.effects, refitted)
 
 
-#: So many of the first refits, those that promise most, are taken to convergence.
+#: Number of first refits, the most promising ones, that are continued to convergence.
 POLISHED = 3
-#: A first refit is given up if it is soon far above the best of the first few effects, which are
+#: A first refit is abandoned if it is soon far above the best of the first few effects, which are
 #: the likeliest by the screen.
 FIRST = 2
-#: Far above the best is an objective so many times as large, if so much of the fall is missing that
-#: the best effect brings.  A refit with a strong effect that misses a hundredth of the fall may be
-#: ten times above the best, and yet end as low when it is taken on.
+#: An objective is far above the best if it is this many times larger, and misses this share of the
+#: fall that the best effect brings.  A strong effect that misses a hundredth of the fall may be ten
+#: times above the best, and yet end as low when it is continued.
 FAR_ABOVE, FAR_FROM_FALL = 10.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Refits:
-    """Refits of a model with one effect more.  A user's own effects are all taken to convergence.
+    """Refits of a model with one effect more.  A user's own effects all converge.
 
     screens   by effect
-    offered   effects that what is fitted may have
-    earlier   models of an earlier search, as `models`: fits begin there
-    models    by their effects' names: what is known; results are added to it
-    polished  those that gain nothing by being taken on; added to, too
+    offered   effects that the fitted models may have
+    earlier   models of an earlier search, as `models`: start points of fits
+    models    models so far by their effects' names; results are added
+    polished  models that gain nothing by further iterations; results are added
     """
 
     extension: Extension
@@ -272,7 +271,7 @@ class Refits:
     progress: Progress
 
     def with_each(self, effects: Sequence[type[Effect]]) -> list[FittedModel]:
-        """The model with each of the effects that it can be simulated with from some start."""
+        """The model with each effect added, without effects that cannot be simulated."""
         prepared, models = self.extension.prepared, self.models
         work = prepared.work
         unknown = [e for e in effects if self._key(e) not in models]
@@ -281,15 +280,15 @@ class Refits:
 
         def refitted(job: tuple[type[Effect], Options]) -> FittedModel | None:
             effect, options = job
-            if known := self.earlier.get(self._key(effect)):
-                at_once = replace(options, above=(options.above[0], 1))
+            if earlier := self.earlier.get(self._key(effect)):
+                one_iteration = replace(options, above=(options.above[0], 1))
                 with contextlib.suppress(*UNSIMULATED):
-                    again = continued(prepared, known, at_once)
-                    return self.extension.at_least_nested(again, options)
+                    model = continued(prepared, earlier, one_iteration)
+                    return self.extension.at_least_nested(model, options)
             return self.extension.by(effect, self.screens[effect.name], options)
 
-        def taken_on(model: FittedModel) -> FittedModel:
-            with contextlib.suppress(*UNSIMULATED):  # it ended where hardly anything is simulated
+        def continue_fit(model: FittedModel) -> FittedModel:
+            with contextlib.suppress(*UNSIMULATED):  # its end may not be simulable
                 return continued(prepared, model, POLISH)
             return model
 
@@ -297,40 +296,40 @@ class Refits:
             work.leave_out(f"a fit with {self._name(job[0])}")
             return None
 
-        def known_now(model: FittedModel) -> None:
+        def store(model: FittedModel) -> None:
             models[model.names] = model
             work.note_fit(model.names, model.fit.rms_m, prepared.expected_m("fit"))
 
-        def was_fitted(job: tuple[type[Effect], Options], model: FittedModel | None) -> None:
+        def on_fitted(job: tuple[type[Effect], Options], model: FittedModel | None) -> None:
             if model is not None:
-                known_now(model)
+                store(model)
             text = f"refitted with {self._name(job[0])}, {self._error_fall(effects)}"
             self.progress(text, next(done), len(effects))
 
-        def was_taken_on(_: FittedModel, model: FittedModel) -> None:
-            known_now(model)
-            if model.fit.solution.iterations < POLISH.max_iterations:  # it gained no more
+        def on_continued(_: FittedModel, model: FittedModel) -> None:
+            store(model)
+            if model.fit.solution.iterations < POLISH.max_iterations:  # converged
                 self.polished.add(model.names)
 
         text = f"refitting with one effect more, {self._error_fall(effects)}"
         self.progress(text, len(effects) - len(unknown), len(effects))
-        functions = (refitted, taken_on)
+        functions = (refitted, continue_fit)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as pool:
             first = [e for e in unknown if e in effects[:FIRST] or e.file is not None]
-            pool.map(refitted, [(e, REFIT) for e in first], not_fitted, was_fitted)
+            pool.map(refitted, [(e, REFIT) for e in first], not_fitted, on_fitted)
             above = (self._far([*effects[:FIRST], *first]), ENOUGH_PASSES)
-            hurried = replace(REFIT, above=above)
-            # those with most shapes take longest, and so begin first
-            rest = sorted((e for e in unknown if e not in first), key=lambda e: -shapes_of(e))
-            pool.map(refitted, [(e, hurried) for e in rest], not_fitted, was_fitted)
-            found = self._fitted(effects)
-            rough = self._to_take_on(found, self._far(effects))
-            if rough and not work.spent:
-                pool.map(taken_on, rough, lambda model: model, was_taken_on)
-        return [models[c.names] for c in found]
+            limited = replace(REFIT, above=above)
+            # effects with most shapes take longest: they start first
+            remaining = sorted((e for e in unknown if e not in first), key=lambda e: -shapes_of(e))
+            pool.map(refitted, [(e, limited) for e in remaining], not_fitted, on_fitted)
+            first_fits = self._fitted(effects)
+            to_continue = self._to_continue(first_fits, self._far(effects))
+            if to_continue and not work.spent:
+                pool.map(continue_fit, to_continue, lambda model: model, on_continued)
+        return [models[c.names] for c in first_fits]
 
     def _error_fall(self, effects: Sequence[type[Effect]]) -> str:
-        """How far the error has fallen by now, for who watches."""
+        """Text of the error before and now, for the progress display."""
         base_m = self.extension.base.fit.rms_m
         least_m = min((c.fit.rms_m for c in self._fitted(effects)), default=base_m)
         return error_text(self.extension.prepared, base_m, min(base_m, least_m))
@@ -342,11 +341,11 @@ class Refits:
         return frozenset({*self.extension.base.names, effect.name})
 
     def _fitted(self, effects: Sequence[type[Effect]]) -> list[FittedModel]:
-        """What is known with these effects."""
+        """The models so far with one of these effects added."""
         return [c for e in effects if (c := self.models.get(self._key(e))) is not None]
 
     def _far(self, effects: Sequence[type[Effect]]) -> float:
-        """Objective from which a refit is far above the best with these effects."""
+        """Objective above which a refit is far above the best with these effects."""
         fitted = self._fitted(effects)
         if not fitted:
             return np.inf
@@ -354,9 +353,9 @@ class Refits:
         fall = self.extension.base.fit.objective - best
         return max(FAR_ABOVE * best, best + FAR_FROM_FALL * fall)
 
-    def _to_take_on(self, found: Sequence[FittedModel], far: float) -> list[FittedModel]:
-        """The likeliest, unless they are far above the best, and all with a user's own effect."""
-        ordered = sorted(found, key=lambda c: -c.promised_evidence)
+    def _to_continue(self, models: Sequence[FittedModel], far: float) -> list[FittedModel]:
+        """The likeliest models not far above the best, and all with a user's own effect."""
+        ordered = sorted(models, key=lambda c: -c.predicted_evidence)
         return [
             c
             for place, c in enumerate(ordered)
@@ -365,7 +364,7 @@ class Refits:
         ]
 
     def _unpolished(self, model: FittedModel, far: float) -> bool:
-        """Whether a model is worth to be taken to convergence, and never was."""
+        """Whether a model is worth continuing to convergence, and has not been."""
         if model.fit.solution.converged_or_idle or model.names in self.polished:
             return False
         return model.fit.objective <= far

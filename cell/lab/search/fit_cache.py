@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.prepared import ERRS, PreparedStudy, arcs_are_uncertain
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain
 from cell.lab.data.thresholds import Rules
 from cell.lab.data.work import Progress, Work
 from cell.lab.fit.corrections import (
@@ -21,9 +21,9 @@ from cell.lab.fit.corrections import (
     gain_is_uncertain,
     moved_m,
     moves_parameters,
-    with_noise_given,
+    with_conditional_noise,
 )
-from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with, taken_from
+from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with, start_from
 from cell.lab.fit.heldout import heldout_log_lr
 from cell.lab.fit.starts import cold_start
 from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
@@ -35,26 +35,26 @@ from cell.lab.search.fitted_model import (
     FittedModel,
     Gain,
     added_effect,
+    corrected_gain,
     error_over_noise,
     model_of_fit,
     p_value_of_fall,
     penalty_of,
-    worth_of,
 )
 from cell.lab.search.residual_summary import removed_share, residual_summary
 from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
 
-#: Two fits of the same effects are different minima if one is so much likelier (logarithm).
+#: Difference of ln likelihood from which two fits of the same effects are different minima.
 LIKELIER = 0.1
-#: p-value of the screen above which a smooth effect is not refitted given a model that explains
-#: the study. Measured on 61 studies: of 326 such refits none had p below 0.02.
+#: p-value of the screen above which a smooth effect is not refitted, if the model explains the
+#: study. Measured on 61 studies: of 326 such refits none had p below 0.02.
 BY_CHANCE = 0.1
 
 
 @dataclass(eq=False)
 class _Memory:
-    """What has been fitted beyond the baseline."""
+    """Models fitted so far beyond the baseline, and their screens."""
 
     models: dict[frozenset[str], FittedModel]
     second: Fit | None = None
@@ -71,7 +71,7 @@ class FitCache:
 
     prepared  the study with the noise and without the mesh error estimated given the baseline
     base      the baseline: the model with no effects beyond those of the setup's space
-    tempered  the baseline's fit with residuals divided, where the baseline cannot fit
+    tempered  the baseline's fit with residuals scaled down, where the baseline cannot fit
     """
 
     setup: SearchSetup
@@ -93,8 +93,8 @@ class FitCache:
         models = {base.names: base}
         if setup.reference is not None:
             with contextlib.suppress(*UNSIMULATED):
-                again = continued(prepared, setup.reference, POLISH)
-                models[again.names] = again
+                refitted = continued(prepared, setup.reference, POLISH)
+                models[refitted.names] = refitted
         return FitCache(
             setup, prepared, base, baseline.tempered, _Memory(models, second=baseline.second)
         )
@@ -111,7 +111,7 @@ class FitCache:
 
     @property
     def progress(self) -> Progress:
-        """Told what is fitted."""
+        """Callback that receives the progress of the fits."""
         return self.setup.progress
 
     @property
@@ -125,7 +125,7 @@ class FitCache:
         return self.setup.rules
 
     def with_rules(self, rules: Rules) -> FitCache:
-        """The same fits, judged by other limits."""
+        """The same fits, with other limits for their effects."""
         return replace(self, setup=replace(self.setup, rules=rules))
 
     @property
@@ -135,12 +135,12 @@ class FitCache:
 
     @property
     def work(self) -> Work:
-        """What is simulated of the study; whoever waits may stop it."""
+        """Budget of simulations of the study; the caller may stop it."""
         return self.setup.prepared.work
 
     def explained_by(self, model: FittedModel) -> bool:
-        """Whether a model leaves so little that the rest may be noise and the mesh's error."""
-        return model.fit.rms_m <= ERRS * self.prepared.expected_m("fit")
+        """Whether a model's residual may be noise and the mesh's error."""
+        return model.fit.rms_m <= ERROR_RATIO * self.prepared.expected_m("fit")
 
     def is_below_stated(self, model: FittedModel) -> bool:
         """Whether a model's error is less than a share of the error that the study states."""
@@ -149,13 +149,13 @@ class FitCache:
 
     @property
     def second(self) -> Fit | None:
-        """Where the baseline's fit ended from a second start, if one was tried."""
+        """The baseline's fit from a second start, if one was tried."""
         return self._memory.second
 
     def second_start(self) -> Fit | None:
-        """Where the baseline's fit ends from a second start; None where the first is good enough.
+        """The baseline's fit from a second start; None where the first is good enough.
 
-        The second is the tempered fit; of two that were compared it is the worse.
+        The second start is the tempered fit; of two fits already compared it is the worse one.
         """
         if self._memory.second is None and self.tempered is not None and not self.work.spent:
             with contextlib.suppress(*UNSIMULATED):
@@ -183,32 +183,32 @@ class FitCache:
         return [e for e in model.effects if e not in self.space.effects]
 
     def gain(self, small: FittedModel, large: FittedModel) -> Gain:
-        """What `large` has over `small`, which lacks one of its effects."""
-        effect, (worth, held) = added_effect(small, large), self.worth(small, large)
+        """Gain of `large` over `small`, which lacks one of its effects."""
+        effect, (fall, heldout_gain) = added_effect(small, large), self.corrected_gain(small, large)
         return Gain(
             delta_chi2=small.fit.objective - large.fit.objective,
-            p_value=p_value_of_fall(effect, worth),
-            delta_bic=worth - penalty_of(self.prepared, [effect]),
-            heldout=held,
+            p_value=p_value_of_fall(effect, fall),
+            delta_bic=fall - penalty_of(self.prepared, [effect]),
+            heldout=heldout_gain,
         )
 
-    def worth(self, small: FittedModel, large: FittedModel) -> tuple[float, float]:
-        """Fall of the objective and held-out ln likelihood ratio, as `worth_of`."""
-        return worth_of(self.prepared, small, large, self.gripper_log_error())
+    def corrected_gain(self, small: FittedModel, large: FittedModel) -> tuple[float, float]:
+        """Fall of the objective and held-out ln likelihood ratio, as `corrected_gain`."""
+        return corrected_gain(self.prepared, small, large, self.gripper_log_error())
 
     def removed_share(self, before: FittedModel, after: FittedModel) -> float:
         """Share, 0 … 1, of a model's error beyond noise that another removes, over all trials."""
-        left = (residual_summary(self.prepared, model) for model in (before, after))
-        return removed_share(self.prepared.noise_model.noise.std_m, *left)
+        summaries = (residual_summary(self.prepared, model) for model in (before, after))
+        return removed_share(self.prepared.noise_model.noise.std_m, *summaries)
 
     def gripper_log_error(self) -> GripperLogError:
-        """What the gripper log may be wrong by, near the baseline."""
+        """Possible error of the gripper log, linearised at the baseline."""
         return gripper_log_error(self.prepared, self.base.fit)
 
     def screened(self, base: FittedModel) -> list[ScreenedEffect]:
-        """Score tests of the whole library against a model, likeliest first.
+        """Score tests of the complete library against a model, likeliest first.
 
-        None of a model that was not screened before the work was stopped.
+        Empty if the work was stopped before the model was screened.
         """
         screens = self._memory.screens
         if base.names not in screens:
@@ -219,33 +219,34 @@ class FitCache:
         return screens[base.names]
 
     def shortlist(self, base: FittedModel, best: int) -> list[type[Effect]]:
-        """The `best` of the screen, and what it may misjudge: the rough, the found, and the user's.
+        """The `best` effects of the screen, and those that it may misjudge.
 
-        Given a model that explains the study a refit gains no more than its screen says.
+        These are non-smooth effects, the reference model's, and the user's.  If the model explains
+        the study, the screen predicts the gain of a refit well: unlikely effects are left out.
         """
         ranked = sorted(self.screened(base), key=lambda s: (s.score.p_value, -s.score.statistic))
         explained = self.prepared.noise_is_measured and self.explained_by(base)
-        most = BY_CHANCE if explained else 1.0
-        likely = [s.effect for s in ranked if s.score.p_value <= most][:best]
+        limit = BY_CHANCE if explained else 1.0
+        likely = [s.effect for s in ranked if s.score.p_value <= limit][:best]
         reference = self.setup.reference
-        known = () if reference is None else reference.names
-        more = [
+        reference_names = () if reference is None else reference.names
+        added = [
             s.effect
             for s in ranked
-            if not s.effect.smooth or s.effect.name in known or s.effect.file is not None
+            if not s.effect.smooth or s.effect.name in reference_names or s.effect.file is not None
         ]
-        return [*likely, *(e for e in more if e not in likely)]
+        return [*likely, *(e for e in added if e not in likely)]
 
     def fit_extended(self, base: FittedModel, effects: Sequence[type[Effect]]) -> list[FittedModel]:
-        """The model with each of the effects added to it, side by side on all cores.
+        """The model with each of the effects added to it, fitted in parallel on all cores.
 
         An effect with which the cable cannot be simulated from any start is left out.
         """
         memory = self._memory
         unknown = [e for e in effects if frozenset({*base.names, e.name}) not in self.setup.earlier]
         screens: dict[str, list[ScreenedEffect]] = {}
-        for one in (*self.screened(base), *_screened_from_other_fits(self, base, unknown)):
-            screens.setdefault(one.effect.name, []).append(one)
+        for screened in (*self.screened(base), *_alternative_screens(self, base, unknown)):
+            screens.setdefault(screened.effect.name, []).append(screened)
         offered = (*self.library.values(), *base.effects, *effects)
         return Refits(
             _extension(self, base),
@@ -258,14 +259,14 @@ class FitCache:
         ).with_each(effects)
 
     def heldout_log_lr(self, model: FittedModel, effect: type[Effect]) -> float:
-        """ln of how much likelier an effect of a model must make the held-out trials."""
-        known, key = self._memory.heldout_log_lr, (model.names, effect.name)
-        if key not in known:
-            known[key] = heldout_log_lr(self.prepared, model.fit, effect)
-        return known[key]
+        """Expected held-out ln likelihood ratio of an effect of a model."""
+        cached, key = self._memory.heldout_log_lr, (model.names, effect.name)
+        if key not in cached:
+            cached[key] = heldout_log_lr(self.prepared, model.fit, effect)
+        return cached[key]
 
     def extended(self, model: FittedModel) -> list[FittedModel]:
-        """The model with one effect more: the likeliest of the screen."""
+        """The models with one further effect, for the likeliest effects of the screen."""
         return self.fit_extended(model, self.shortlist(model, self.rules.max_refits))
 
     def with_effects(self, names: Sequence[str]) -> FittedModel | None:
@@ -273,39 +274,39 @@ class FitCache:
         model = self.base
         for name in names:
             if name not in self.base.names:
-                found = self.fit_extended(model, [self.library[name]])
-                if not found:
+                extended = self.fit_extended(model, [self.library[name]])
+                if not extended:
                     return None
-                model = found[0]
+                model = extended[0]
         return model
 
     def reduced(self, model: FittedModel) -> Iterator[FittedModel]:
-        """Without one of the effects that the baseline lacks, refitted one after another."""
+        """Yield the model without each of its added effects, refitted one after another."""
         return (self.fit_reduced(model, e) for e in self.added(model))
 
     def fit_reduced(self, model: FittedModel, effect: type[Effect]) -> FittedModel:
-        """The model with one effect taken out, refitted from where it was with it.
+        """The model without one effect, refitted from the parameters of the model with it.
 
-        Where that set of effects was fitted before, the likelier fit of the two: an effect
-        explains only what the same model without it does not, wherever its search began.
+        Where that set of effects was fitted before, the likelier of the two fits, so that an effect
+        is compared with the best model without it.
         """
         rest = tuple(e for e in model.effects if e is not effect)
         key, memory = frozenset(e.name for e in rest), self._memory
-        known, way = memory.models.get(key), (model.names, key)
-        if known is None or (len(rest) > len(self.space.effects) and way not in memory.reduced):
-            memory.reduced.add(way)
-            found = model_of_fit(self.prepared, rest, self._taken_out(model, rest))
-            if known is None or found.evidence > known.evidence + LIKELIER:
-                memory.models[key] = found
+        cached, step = memory.models.get(key), (model.names, key)
+        if cached is None or (len(rest) > len(self.space.effects) and step not in memory.reduced):
+            memory.reduced.add(step)
+            refitted = model_of_fit(self.prepared, rest, self._fit_without(model, rest))
+            if cached is None or refitted.evidence > cached.evidence + LIKELIER:
+                memory.models[key] = refitted
         return memory.models[key]
 
-    def _taken_out(self, model: FittedModel, rest: tuple[type[Effect], ...]) -> Fit:
-        """A model's fit with only these of its effects."""
+    def _fit_without(self, model: FittedModel, rest: tuple[type[Effect], ...]) -> Fit:
+        """The model refitted with only the effects in `rest`."""
         space = space_with(model.fit.space, rest)
-        q = taken_from(model.fit, space)
+        q = start_from(model.fit, space)
         try:
             return fit_model(self.prepared, space, q, model.fit.initial_states, options=REFIT)
-        except UNSIMULATED:  # a cable that only the effect kept from collapsing
+        except UNSIMULATED:  # without the effect the cable collapses
             q = cold_start(self.prepared, space)
             return fit_model(self.prepared, space, q, options=REFIT)
 
@@ -313,20 +314,20 @@ class FitCache:
 def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
     """The setup of a repeated search: noise and mesh error re-estimated given a model.
 
-    Those given the baseline, which could not fit, were others.  So were the lines of markers of
-    uncertain arc length, the wrench of an uncertain gain, and the mean errors of rounded values.
-    returns  None if that was done, if nothing changes noticeably, or if the model does not explain
-             the study
+    The estimates given the baseline, which could not fit, were wrong, and so were the positions of
+    markers of uncertain arc length, the gain of the wrench, and the mean errors of rounded values.
+    returns  None if already re-estimated, if nothing changes noticeably, or if the model does not
+             explain the study
     """
     before = fits.prepared
     if fits.setup.reference is not None or not (fits.explained_by(model) or before.mesh_m):
         return None
     others = [e for name, e in fits.library.items() if name not in model.names]
-    prepared = with_noise_given(before, model.fit, others)
+    prepared = with_conditional_noise(before, model.fit, others)
     refined = corrected(prepared, model.fit)
-    another = prepared.noise_model.differs_from(before.noise_model)
+    noise_differs = prepared.noise_model.differs_from(before.noise_model)
     of_model = arcs_are_uncertain(prepared.study) or gain_is_uncertain(prepared)
-    if not (another or of_model or moves_parameters(prepared, moved_m(prepared, refined))):
+    if not (noise_differs or of_model or moves_parameters(prepared, moved_m(prepared, refined))):
         return None
     return replace(
         fits.setup,
@@ -340,15 +341,15 @@ def noise_reestimated(fits: FitCache, model: FittedModel) -> SearchSetup | None:
 def with_lower_baseline(fits: FitCache, start: FloatArray, least: float) -> FitCache:
     """A cache whose baseline is fitted from another start, if that lowers χ² by `least` or more.
 
-    It is the baseline then, and nothing is fitted beyond it yet; else this cache itself.
+    The new cache has no further models yet; otherwise this cache itself is returned.
     """
     base, memory = fits.base, fits._memory
-    with contextlib.suppress(*UNSIMULATED):  # where it ended nothing is simulated
+    with contextlib.suppress(*UNSIMULATED):  # the start may not be simulable
         fit = fit_model(fits.prepared, base.fit.space, start, options=POLISH)
         if fit.objective < base.fit.objective - least:
             lower = model_of_fit(fits.prepared, base.effects, fit)
-            others = _Memory({lower.names: lower}, memory.second, memory.prior)
-            return replace(fits, base=lower, _memory=others)
+            lower_memory = _Memory({lower.names: lower}, memory.second, memory.prior)
+            return replace(fits, base=lower, _memory=lower_memory)
     return fits
 
 
@@ -357,8 +358,8 @@ def with_joined(
 ) -> tuple[FitCache, FittedModel]:
     """The model with its added effects replaced by one equivalent effect, and a cache for it.
 
-    It is fitted from where the model is.
-    names   of the effect's parameters, by those of the effects added
+    Its fit starts at the model's parameters.
+    names   of the effect's parameters, by the names in the added effects
     raises  UnsimulatedError
     """
     effects = (*fits.space.effects, effect)
@@ -374,30 +375,30 @@ def with_joined(
     return replace(fits, setup=setup, _memory=memory), joined
 
 
-def _screened_from_other_fits(
+def _alternative_screens(
     fits: FitCache, base: FittedModel, effects: Sequence[type[Effect]]
 ) -> list[ScreenedEffect]:
-    """The same from the tempered baseline and from what was believed of the cable.
+    """Screens of the tempered baseline and of the prior's model.
 
-    Where the best baseline has been bent to imitate an effect, its slopes mislead.
+    A baseline that imitates an effect by its parameters has misleading slopes.
     """
     if base is not fits.base or not effects:
         return []
-    found = [] if fits.tempered is None else screen(fits.prepared, fits.tempered, effects)
+    screened = [] if fits.tempered is None else screen(fits.prepared, fits.tempered, effects)
     if fits.prior_q is not None:
-        found += screen(fits.prepared, fits.prior_candidate().fit, effects)
-    return found
+        screened += screen(fits.prepared, fits.prior_candidate().fit, effects)
+    return screened
 
 
 def _extension(fits: FitCache, base: FittedModel) -> Extension:
-    """Where fits with one effect more begin."""
+    """Starting points of fits with one further effect."""
     origins = [base.fit.q]
     if fits.tempered is not None and base is fits.base:
         origins.append(fits.tempered.q)
     if fits.prior_q is not None:
-        # An earlier individual is far from one with, say, a load: there slopes say little.
+        # An earlier individual may be far away, as without a load: slopes are inaccurate there.
         origins.append(np.concatenate([fits.prior_q, base.fit.q[len(fits.prior_q) :]]))
-    # Weighed by a model's own error, as a partial explanation is, no cable is bent to imitate.
+    # With a model's own error as noise (partial explanation), no fit is distorted that much.
     measured = base is fits.base and fits.prepared.noise_is_measured
     misfit = measured and not fits.explained_by(base)
     far = fits.prior_q is not None
@@ -407,20 +408,20 @@ def _extension(fits: FitCache, base: FittedModel) -> Extension:
 def _fit_by_adding(setup: SearchSetup, prepared: PreparedStudy) -> Fit | None:
     """The baseline's fit from the end of a search that adds the unknown effects one by one.
 
-    None if the cable cannot be simulated so.
+    None if the cable cannot be simulated on the way.
     """
     unknown = setup.unknown_effects
-    rest = [e for e in setup.space.effects if e not in unknown]
-    space = space_with(setup.space, rest)
-    known = [i for i, name in enumerate(setup.space.names) if name in space.names]
-    prior_q = None if setup.prior_q is None else setup.prior_q[known]
+    known_effects = [e for e in setup.space.effects if e not in unknown]
+    space = space_with(setup.space, known_effects)
+    baseline_index = [i for i, name in enumerate(setup.space.names) if name in space.names]
+    prior_q = None if setup.prior_q is None else setup.prior_q[baseline_index]
     library = {e.name: e for e in unknown}
     with contextlib.suppress(*UNSIMULATED):
         search = FitCache.of(SearchSetup(prepared, space, library, setup.progress, prior_q))
 
         def extended(model: FittedModel) -> list[FittedModel]:
-            others = [e for e in unknown if e not in model.effects]
-            return search.fit_extended(model, others) if others else []
+            remaining = [e for e in unknown if e not in model.effects]
+            return search.fit_extended(model, remaining) if remaining else []
 
         def likeliest(_: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
             return sorted(options, key=lambda c: c.fit.objective)[:1]
@@ -428,7 +429,7 @@ def _fit_by_adding(setup: SearchSetup, prepared: PreparedStudy) -> Fit | None:
         *_, (model,) = levels(search.base, extended, likeliest)
         if len(model.effects) < len(setup.space.effects):
             return None
-        q = np.clip(taken_from(model.fit, setup.space), setup.space.low, setup.space.high)
+        q = np.clip(start_from(model.fit, setup.space), setup.space.low, setup.space.high)
         states = model.fit.initial_states
         return fit_model(prepared, setup.space, q, states, options=POLISH)
     return None

@@ -15,14 +15,14 @@ from cell.lab.data.results import Errors
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.heldout import Heldout, heldout
 from cell.lab.fit.score_test import boundary_p_value
-from cell.lab.fit.sensitivity import chances_of, one_sided
+from cell.lab.fit.sensitivity import one_sided, shape_count
 from cell.lab.fit.systematic_error import GripperLogError
 
 
 def p_value_of_fall(effect: type[Effect], delta_chi2: float) -> float:
     """p-value of a fall of χ² by a refit with one more effect, if that effect is absent."""
     amplitudes = sum(p.amplitude for p in effect.parameters)
-    return boundary_p_value(delta_chi2, amplitudes, int(one_sided(effect)), chances_of(effect))
+    return boundary_p_value(delta_chi2, amplitudes, int(one_sided(effect)), shape_count(effect))
 
 
 def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction: float) -> float:
@@ -31,7 +31,7 @@ def bic_penalty(effects: Iterable[type[Effect]], values: int, effective_fraction
     return float(fitted * np.log(max(values * effective_fraction, 2.0)))
 
 
-#: Passes of a first refit; the best few are then taken to convergence.
+#: Options of a first refit; the best few are then continued to convergence.
 REFIT = Options(tolerance=0.3, max_iterations=12, least_gain=1e-3, updates=3)
 POLISH = Options(tolerance=0.1, max_iterations=40, least_gain=1e-3, updates=3)
 
@@ -61,9 +61,9 @@ class FittedModel:
         return Errors(self.fit.markers_rms_m, held_m)
 
     @property
-    def promised_evidence(self) -> float:
-        """The evidence where the fit would end, were the model linear where the fit was left."""
-        return self.evidence + 0.5 * (self.fit.objective - self.fit.promised_objective)
+    def predicted_evidence(self) -> float:
+        """Predicted evidence of the converged fit, by the linear model at its last step."""
+        return self.evidence + 0.5 * (self.fit.objective - self.fit.predicted_objective)
 
     @property
     def chi2(self) -> float:
@@ -103,14 +103,14 @@ def penalty_of(prepared: PreparedStudy, effects: Sequence[type[Effect]]) -> floa
 
 
 def residuals_m(prepared: PreparedStudy, candidate: FittedModel) -> dict[str, FloatArray]:
-    """Per trial (times, channels): measured − predicted, m, nan where not seen."""
+    """Per trial (times, channels): measured − predicted, m, nan where not observed."""
     names = [trial.name for trial in fit_trials(prepared)]
-    found = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
+    residuals = dict(zip(names, errors_m(prepared, candidate.fit), strict=True))
     if candidate.heldout is not None:
         for trial in prepared.study.role("validate"):
             error = prepared.error_m(trial, candidate.heldout.predicted_m[trial.name])
-            found[trial.name] = error.reshape(len(error), -1)
-    return found
+            residuals[trial.name] = error.reshape(len(error), -1)
+    return residuals
 
 
 def added_effect(small: FittedModel, large: FittedModel) -> type[Effect]:
@@ -126,22 +126,22 @@ def error_text(prepared: PreparedStudy, *errors_m: float) -> str:
     return f"error {' → '.join(shown[:-1])} {unit} (noise {shown[-1]})"
 
 
-def worth_of(
+def corrected_gain(
     prepared: PreparedStudy, small: FittedModel, large: FittedModel, log_error: GripperLogError
 ) -> tuple[float, float]:
-    """Fall of the objective and held-out ln likelihood ratio, less by the log error's inflation.
+    """Fall of the objective and held-out ln likelihood ratio, over the log error's inflation.
 
-    log_error  what the gripper log may be wrong by: what could be that is worth as much less
+    log_error  possible error of the gripper log: changes that look like it count less
     """
     change = small.fit.solution.residual - large.fit.solution.residual
     by_trial = prepared.by_trial(fit_trials(prepared), change)
-    worth = (small.fit.objective - large.fit.objective) / log_error.inflation(by_trial)
+    fall = (small.fit.objective - large.fit.objective) / log_error.inflation(by_trial)
     if not (small.heldout and large.heldout):
-        return worth, 0.0
+        return fall, 0.0
     changes = {}
     for trial in prepared.study.role("validate"):
         each = [model.heldout.predicted_m[trial.name] for model in (small, large) if model.heldout]
         white = prepared.white(trial, np.stack(each))
         changes[trial.name] = white[0] - white[1]
-    held = large.heldout.log_likelihood - small.heldout.log_likelihood
-    return worth, held / log_error.inflation(changes)
+    log_lr = large.heldout.log_likelihood - small.heldout.log_likelihood
+    return fall, log_lr / log_error.inflation(changes)

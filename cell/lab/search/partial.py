@@ -1,8 +1,8 @@
-"""Partial explanations: effects that explain most of an error, but leave more than noise.
+"""Partial explanations: effects that explain most of an error, with a residual above the noise.
 
 Where no set of effects fits to the noise, the model's own error limits every conclusion.  So it
-takes the place of the noise here, with its correlation.  The model is fitted to all trials jointly:
-effects are compared by how much they change the fit, not by their forecasts.
+replaces the noise here, with its correlation.  The model is fitted to all trials jointly: effects
+are compared by how much they change the fit, not by their forecasts.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
-from cell.lab.fit.fitting import fit_trials, taken_from
+from cell.lab.fit.fitting import fit_trials, start_from
 from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.extension import POLISHED
@@ -25,14 +25,14 @@ from cell.lab.search.fitted_model import FittedModel, added_effect
 from cell.lab.search.residual_summary import (
     residual_summary,
 )
-from cell.lab.search.rivals import chance_of, is_at_bound, near_singles
+from cell.lab.search.rivals import is_at_bound, near_singles, step_p
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
 
-#: Its error is far below what a model errs by that explains a study in part; it saves time.
+#: A faster solver: its error is far below that of a model that explains a study only in part.
 COARSE = Solver(segments=20, step_s=1.5e-3)
 
-#: The fits are repeated with the least error found as noise, if that is below this share of the
-#: error before; so often at most.
+#: The fits are repeated with the smallest error so far as noise, if that is below this share of the
+#: previous one; at most this often.
 REWEIGHTED_BELOW = 0.5
 MOST_REWEIGHTINGS = 3
 
@@ -41,9 +41,9 @@ MOST_REWEIGHTINGS = 3
 class PartialExplanation:
     """Fits to all trials jointly, whitened by the model's own error.
 
-    fits  with all trials to be fitted
-    singles   each effect worth it alone given the baseline
-    path      the baseline, then with each effect that removes most of what is left
+    fits      of all trials
+    singles   the baseline with each single effect that is worth a fit
+    path      the baseline, then with each effect that removes most of the remaining error
     """
 
     fits: FitCache
@@ -52,23 +52,23 @@ class PartialExplanation:
 
 
 def explain_partly(fits: FitCache) -> PartialExplanation:
-    """Explain most of a study that nothing explains to its noise.
+    """Explain most of a study that no set of effects explains to its noise.
 
-    What the best model so far leaves is the model's own error.
+    The model's own error is estimated by the residual of the best model so far.
     """
     error, lowest = _own_error(fits, fits.known()), fits.base
     least_m = residual_summary(fits.prepared, lowest).rms_m
     for _ in range(MOST_REWEIGHTINGS):
         joint = _with_noise(fits, error)
         if least_m < residual_summary(joint.prepared, joint.base).rms_m:
-            # fitted to all trials a model leaves no more of them
+            # a fit to all trials cannot have a larger residual
             joint = with_lower_baseline(joint, lowest.fit.q, fits.rules.tie_delta_chi2)
         joint, singles = _singles(joint)
         base = joint.base
         lowest, least_m = base, min(least_m, residual_summary(joint.prepared, base).rms_m)
         before, error = error, _own_error(joint, joint.known())
-        # Fits that were stuck have an error that is no model's own; trials that weigh little are
-        # fitted from anywhere.
+        # The error of a fit that was stuck is not the model's own; with a larger noise the fits
+        # converge from any start.
         if error.std_m > REWEIGHTED_BELOW * before.std_m or joint.work.spent:
             break
     steps = _added(joint, base, singles)
@@ -77,24 +77,24 @@ def explain_partly(fits: FitCache) -> PartialExplanation:
         for rival in near_singles(joint, steps[1], singles):
             joint.extended(rival)
     unfinished = not joint.work.affords("the search for effects that explain most")
-    # nor does any model explain a cable that is hopeless
+    # a hopeless model explains nothing
     if unfinished or is_hopeless(joint.prepared, steps[-1].fit):
         steps = [base]
     return PartialExplanation(joint, tuple(singles), tuple(steps))
 
 
 def _added(joint: FitCache, base: FittedModel, singles: Sequence[FittedModel]) -> list[FittedModel]:
-    """The baseline, and one effect after another that removes most of what is left; exchanged."""
+    """The baseline, then with effects added that each remove most of the error; exchanged."""
     steps: list[FittedModel] = []
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:
         return singles if model is base else joint.extended(model)
 
-    def kept(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        found = largest_step(joint, model, options)
-        return [] if found is None else [found]
+    def select(model: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
+        step = largest_step(joint, model, options)
+        return [] if step is None else [step]
 
-    for (model,) in levels(base, extended, kept):
+    for (model,) in levels(base, extended, select):
         steps.append(model)
         if len(steps) == joint.rules.most_named:
             break
@@ -102,40 +102,40 @@ def _added(joint: FitCache, base: FittedModel, singles: Sequence[FittedModel]) -
         return steps
     prepared = joint.prepared
 
-    def left(model: FittedModel) -> float:
+    def mean_square(model: FittedModel) -> float:
         return residual_summary(prepared, model).mean_square_m2
 
     def better(
-        rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
+        without: FittedModel, options: Sequence[FittedModel], model: FittedModel
     ) -> FittedModel | None:
-        sound = [c for c in options if not is_at_bound(rest, c)]
-        best = min(sound, key=left, default=None)
-        return best if best is not None and left(best) < left(model) else None
+        sound = [c for c in options if not is_at_bound(without, c)]
+        best = min(sound, key=mean_square, default=None)
+        return best if best is not None and mean_square(best) < mean_square(model) else None
 
     def in_time() -> bool:
         return prepared.work.affords("the exchange of effects that explain most")
 
     final = exchanged(joint, steps[-1], better, in_time)
-    return in_order(joint, final, lambda c: -left(c))
+    return in_order(joint, final, lambda c: -mean_square(c))
 
 
 def _singles(joint: FitCache) -> tuple[FitCache, list[FittedModel]]:
-    """Each effect worth it alone given the baseline, converged; and the fits of that baseline.
+    """The fits, and converged models of the baseline with each single effect worth a fit.
 
-    One explains only what the same model without it does not, wherever its search began: the
-    baseline is fitted from where the best one ended too.
+    The baseline is also refitted from the best of them, so that an effect is compared with the best
+    model without it.
     """
     singles: list[FittedModel] = []
     for _ in range(MOST_REWEIGHTINGS):
         base = joint.base
-        singles = _finished(joint, base, joint.extended(base))
+        singles = _converged(joint, base, joint.extended(base))
         best = largest_step(joint, base, singles)
         if best is None:
             break
         if joint.work.spent:
             break
         lower = with_lower_baseline(
-            joint, taken_from(best.fit, base.fit.space), joint.rules.tie_delta_chi2
+            joint, start_from(best.fit, base.fit.space), joint.rules.tie_delta_chi2
         )
         if lower is joint:
             break
@@ -146,39 +146,39 @@ def _singles(joint: FitCache) -> tuple[FitCache, list[FittedModel]]:
 def _significant_steps(fits: FitCache, steps: Sequence[FittedModel]) -> list[FittedModel]:
     """The steps up to the first whose effect explains nothing significant given those before.
 
-    Of two effects found together, exchanged and put in order, one may need no other.
+    After an exchange, one of two effects may be sufficient alone.
     """
-    kept = list(steps[:1])
+    significant = list(steps[:1])
     for small, large in pairwise(steps):
         if p_value_of(fits, small, large) >= fits.rules.significance:
             break
-        kept.append(large)
-    return kept
+        significant.append(large)
+    return significant
 
 
 def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
     """p-value of the last effect of `large`, the larger of two tests, corrected for the library."""
     by_fit = fits.gain(small, large).p_value
-    by_residual = chance_of(fits, small, large)
+    by_residual = step_p(fits, small, large)
     return min(1.0, max(by_fit, by_residual) * max(1, fits.tried - len(small.effects)))
 
 
-def _finished(
+def _converged(
     fits: FitCache, base: FittedModel, singles: Sequence[FittedModel]
 ) -> list[FittedModel]:
-    """All singles taken to convergence: how much each leaves is compared and told."""
+    """All singles, converged: their residuals are compared and reported."""
     pending = [added_effect(base, c) for c in singles if not c.fit.solution.converged]
-    finished: dict[frozenset[str], FittedModel] = {}
-    for first in range(0, len(pending), POLISHED):  # it takes only so many to convergence at once
+    converged: dict[frozenset[str], FittedModel] = {}
+    for first in range(0, len(pending), POLISHED):  # that many converge per call
         if fits.work.spent:
             break
-        few = fits.fit_extended(base, pending[first : first + POLISHED])
-        finished |= {c.names: c for c in few}
-    return [finished.get(c.names, c) for c in singles]
+        batch = fits.fit_extended(base, pending[first : first + POLISHED])
+        converged |= {c.names: c for c in batch}
+    return [converged.get(c.names, c) for c in singles]
 
 
 def _with_noise(fits: FitCache, error: Noise) -> FitCache:
-    """The fits of all trials together, with a model's own error for noise."""
+    """The fits of all trials jointly, with a model's own error as noise."""
     prepared = PreparedStudy.of(
         all_fitted(as_measured(fits.prepared)),
         misfit=error,
@@ -190,12 +190,12 @@ def _with_noise(fits: FitCache, error: Noise) -> FitCache:
     return FitCache.of(replace(setup, rules=fits.rules))
 
 
-def _own_error(fits: FitCache, tried: Sequence[FittedModel]) -> Noise:
-    """The least error so far on the fit trials, as noise of independent frames."""
-    fitted = [replace(c, heldout=None) for c in tried]
-    left = min((residual_summary(fits.prepared, c) for c in fitted), key=lambda e: e.mean_square_m2)
+def _own_error(fits: FitCache, models: Sequence[FittedModel]) -> Noise:
+    """The smallest error so far on the fit trials, as noise of independent frames."""
+    fitted = [replace(c, heldout=None) for c in models]
+    best = min((residual_summary(fits.prepared, c) for c in fitted), key=lambda e: e.mean_square_m2)
     count = sum(fits.prepared.whiteners[t.name].count for t in fit_trials(fits.prepared))
-    return Noise(left.rms_m * float(np.sqrt(max(1.0, count / left.independent))))
+    return Noise(best.rms_m * float(np.sqrt(max(1.0, count / best.independent))))
 
 
 def largest_step(
@@ -203,15 +203,15 @@ def largest_step(
 ) -> FittedModel | None:
     """The model with the smallest residual, if it removes most of the error significantly.
 
-    Models whose added effect is at a bound are excluded: the bound decided, not the measurement.
+    Models whose added effect is at a bound are excluded: the bound sets their size.
     """
     options = [c for c in options if not is_at_bound(current, c)]
     if not options:
         return None
     library = fits.tried - len(fits.added(current))
-    adjusted = holm_among([chance_of(fits, current, c) for c in options], library)
-    left = [residual_summary(fits.prepared, c).mean_square_m2 for c in options]
-    best = options[int(np.argmin(left))]
+    adjusted = holm_among([step_p(fits, current, c) for c in options], library)
+    mean_squares = [residual_summary(fits.prepared, c).mean_square_m2 for c in options]
+    best = options[int(np.argmin(mean_squares))]
     p_value = max(adjusted[options.index(best)], fits.gain(current, best).p_value * library)
     most = fits.removed_share(current, best) > fits.rules.most_share
     return best if p_value < fits.rules.significance and most else None

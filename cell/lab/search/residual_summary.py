@@ -15,7 +15,7 @@ from cell.lab.fit.series import rms_by_time, spectrum
 from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.study.data import Study
 
-#: Frames of a trial over this many are the largest lag at which a residual is compared with itself.
+#: The largest lag of the autocorrelation is the number of frames of a trial divided by this.
 LARGEST_LAG = 4
 MOST_LAGS = 2000
 
@@ -25,8 +25,8 @@ class ResidualSummary:
     """The residual of a model over all trials of a study.
 
     mean_square_m2   per coordinate; inf if a trial cannot be simulated
-    independent      values in it that are independent of each other: of its mean square, as a
-                     sum of squares, twice the square of the mean over the variance
+    independent      effective number of independent values: degrees of freedom of the mean square,
+                     twice its squared mean over its variance
     """
 
     mean_square_m2: float
@@ -41,21 +41,21 @@ class ResidualSummary:
 @once_per_study
 def residual_summary(prepared: PreparedStudy, candidate: FittedModel) -> ResidualSummary:
     """The residual summary of a model over all trials."""
-    held = candidate.heldout
-    if held is not None and not np.isfinite(held.rms_m):
+    heldout = candidate.heldout
+    if heldout is not None and not np.isfinite(heldout.rms_m):
         return ResidualSummary(np.inf, 2.0)
     errors = list(residuals_m(prepared, candidate).values())
-    seen = np.concatenate([e.ravel() for e in errors])
-    seen = seen[np.isfinite(seen)]
-    return ResidualSummary(float(np.mean(seen**2)), independent_values(errors))
+    values = np.concatenate([e.ravel() for e in errors])
+    values = values[np.isfinite(values)]
+    return ResidualSummary(float(np.mean(values**2)), independent_values(errors))
 
 
 def independent_values(errors: Sequence[FloatArray]) -> float:
     """Number of independent values whose mean square varies as much as that of these residuals.
 
-    Correlation counts along the frames and between channels, wherever a model errs it errs for
-    many frames and along the whole cable.
-    errors  per trial (times, channels), nan where not seen
+    Correlation along the frames and between channels counts: a model errs for many frames and along
+    the complete cable.
+    errors  per trial (times, channels), nan where not observed
     source  Bartlett 1946, J. R. Stat. Soc. Suppl. 8, 27: Σ ρ² over lags; between channels the
             same sum over the correlation matrix, (tr K)² / tr K²
     """
@@ -78,7 +78,7 @@ def independent_values(errors: Sequence[FloatArray]) -> float:
 def log_variance_ratio(better: ResidualSummary, worse: ResidualSummary) -> float:
     """−2 ln of the likelihood ratio of two residuals whose variances are unknown.
 
-    Where models err by more than the measurement, what they could be wrong by is what they leave.
+    For models that err by more than the measurement, the residual is their uncertainty.
     """
     if not np.isfinite(worse.mean_square_m2):
         return np.inf if np.isfinite(better.mean_square_m2) else 0.0
@@ -90,22 +90,22 @@ def vuong_z(
 ) -> float:
     """Vuong's statistic: difference of the residuals of two wrong models, in standard deviations.
 
-    What they differ by is summed over channels and trials frame by frame, so that trials which
-    repeat each other count as the one motion that they are, and its standard deviation is that of
-    a correlated series: a gain at a single moment of the motion is worth little.
+    Their difference is summed over channels and trials frame by frame, so that repeated trials
+    count as one motion.  Its standard deviation is that of a correlated series: a gain at a single
+    moment of the motion counts little.
     lag_share  largest lag of the covariances, of the longest trial's frames
     source     Vuong 1989, Econometrica 57, 307; long-run variance after Newey and West 1987,
                Econometrica 55, 703
     """
-    mine, others = residuals_m(prepared, better), residuals_m(prepared, worse)
-    gained = np.zeros(max(len(e) for e in mine.values()))
-    for name, error in mine.items():
-        gained[: len(error)] += np.nansum(others[name] ** 2 - error**2, axis=1)
-    about, lags = gained - gained.mean(), int(lag_share * len(gained))
-    variance = float(about @ about)
+    better_m, worse_m = residuals_m(prepared, better), residuals_m(prepared, worse)
+    gain = np.zeros(max(len(e) for e in better_m.values()))
+    for name, error in better_m.items():
+        gain[: len(error)] += np.nansum(worse_m[name] ** 2 - error**2, axis=1)
+    centred, lags = gain - gain.mean(), int(lag_share * len(gain))
+    variance = float(centred @ centred)
     for lag in range(1, lags + 1):
-        variance += 2.0 * (1.0 - lag / (lags + 1)) * float(about[lag:] @ about[:-lag])
-    return float(gained.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
+        variance += 2.0 * (1.0 - lag / (lags + 1)) * float(centred[lag:] @ centred[:-lag])
+    return float(gain.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
 
 
 def removed_share(noise_m: float, before: ResidualSummary, after: ResidualSummary) -> float:
@@ -137,16 +137,16 @@ def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
 def _of_places(
     prepared: PreparedStudy, errors: Mapping[str, FloatArray]
 ) -> Mapping[str, FloatArray]:
-    """Per trial (frames, channels) of the markers alone."""
+    """Per trial (frames, channels) errors of the markers alone."""
     if prepared.gauges is None:
         return errors
-    found = {}
+    markers = {}
     for trial in prepared.study.trials:
         if trial.name in errors:
-            whole = errors[trial.name].reshape(*trial.markers.xy_m.shape)
-            places = prepared.of_markers(trial, whole)
-            found[trial.name] = places.reshape(len(places), -1)
-    return found
+            error = errors[trial.name].reshape(*trial.markers.xy_m.shape)
+            places = prepared.of_markers(trial, error)
+            markers[trial.name] = places.reshape(len(places), -1)
+    return markers
 
 
 def _size(error: FloatArray) -> float:
@@ -168,6 +168,6 @@ def _frequency(prepared: PreparedStudy, t_s: FloatArray, error: FloatArray) -> f
     """Frequency at which a residual is farthest above the noise, Hz."""
     if len(t_s) < 8 or not np.isfinite(error).any():
         return float("nan")
-    found = spectrum(t_s, error, prepared.noise_model.noise)
-    ratio = found.residual_m2_per_hz / found.noise_m2_per_hz
-    return float(found.frequency_hz[int(np.argmax(ratio))])
+    power = spectrum(t_s, error, prepared.noise_model.noise)
+    ratio = power.residual_m2_per_hz / power.noise_m2_per_hz
+    return float(power.frequency_hz[int(np.argmax(ratio))])

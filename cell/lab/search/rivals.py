@@ -20,22 +20,22 @@ def close_rivals(
 ) -> list[FittedModel]:
     """Rivals that explain as much as `final`, all trials together, the best first.
 
-    By χ² where what remains is noise; where the model's own error remains, by that, with its
-    correlation: it is what the answer could be wrong by.
+    They are compared by χ² where the residual is noise, and else by the ratio of residual variances
+    too, with the residual's correlation: the model's own error limits the comparison.
     """
     rules = fits.rules
     close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
     if error_over_noise(fits.prepared, final) > rules.most_over_noise:
-        mine = residual_summary(fits.prepared, final)
+        own = residual_summary(fits.prepared, final)
         close |= {
             c.names
             for c in rivals
-            if log_variance_ratio(mine, residual_summary(fits.prepared, c)) < rules.tie_delta_chi2
+            if log_variance_ratio(own, residual_summary(fits.prepared, c)) < rules.tie_delta_chi2
         }
     return sorted((c for c in rivals if c.names in close), key=lambda c: c.chi2)
 
 
-def chance_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
+def step_p(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
     """p-value of the fall of the residual by one more effect, over all trials."""
     before, after = (residual_summary(fits.prepared, model) for model in (small, large))
     amplitudes = sum(p.amplitude for p in added_effect(small, large).parameters)
@@ -45,16 +45,16 @@ def chance_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
 def near_singles(
     fits: FitCache, final: FittedModel, singles: Sequence[FittedModel]
 ) -> list[FittedModel]:
-    """Other single effects near `final`, if `final` is a single effect and leaves more than noise.
+    """Other single effects near `final`, a single effect whose residual is above the noise.
 
-    Then a further effect is missing with each of them, as with `final`.
+    A further effect is then missing with each of them, as with `final`.
     """
     prepared, rules = fits.prepared, fits.rules
-    left = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
-    if left[final.names] < (rules.most_over_noise * prepared.noise_model.noise.std_m) ** 2:
+    mean_square = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
+    if mean_square[final.names] < (rules.most_over_noise * prepared.noise_model.noise.std_m) ** 2:
         return []
-    by_left = sorted(singles, key=lambda c: left[c.names])[: rules.most_named]
-    return [c for c in by_left if c.names != final.names]
+    nearest = sorted(singles, key=lambda c: mean_square[c.names])[: rules.most_named]
+    return [c for c in nearest if c.names != final.names]
 
 
 def is_at_bound(small: FittedModel, large: FittedModel) -> bool:

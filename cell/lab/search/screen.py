@@ -1,4 +1,4 @@
-"""The screen of a library of effects: one simulation each gives what it would explain."""
+"""The screen of a library of effects: one simulation of each predicts what it would explain."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cell.lab.fit.projection import nuisance_of
 from cell.lab.fit.score_test import Score, score_test
 from cell.lab.fit.sensitivity import one_sided, sensitivities
 
-#: An effect with more shapes than this to start from acts at a place that must be sought.
+#: An effect with more start shapes than this acts at a place that must be searched.
 MOST_SHAPES = 50
 
 
@@ -36,16 +36,16 @@ def screen(
     All effects, at every guess of their shape parameters, go into one batch per trial.
     """
     nuisance = nuisance_of(fit)
-    found = []
-    for slopes in sensitivities(prepared, fit, effects):
-        effect = slopes.effect
-        score = score_test(nuisance, slopes.rows, one_sided=one_sided(effect))
+    screened = []
+    for sensitivity in sensitivities(prepared, fit, effects):
+        effect = sensitivity.effect
+        score = score_test(nuisance, sensitivity.rows, one_sided=one_sided(effect))
         starts = tuple(
-            _start(effect, slopes.values[shape], amplitude)
+            _start(effect, sensitivity.values[shape], amplitude)
             for shape, amplitude in ((score.shape, score.amplitude), *score.others)
         )
-        found.append(ScreenedEffect(effect, score, starts))
-    return sorted(found, key=lambda s: (s.score.p_value, -s.score.statistic))
+        screened.append(ScreenedEffect(effect, score, starts))
+    return sorted(screened, key=lambda s: (s.score.p_value, -s.score.statistic))
 
 
 def _start(effect: type[Effect], guess: FloatArray, amplitude: FloatArray) -> FloatArray:

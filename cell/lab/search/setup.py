@@ -31,7 +31,7 @@ from cell.study.data import Study
 from cell.study.left_out import without_samples
 from cell.study.sample_outliers import outlier_distances
 
-#: An outlier that is left out shows others, which the fit had followed.
+#: Most rounds of outlier removal: outliers that had distorted the fit hide others.
 _MOST_ROUNDS = 3
 
 
@@ -43,11 +43,11 @@ def fit_cache_of(
     kind: ModelClass = ModelClass(),  # noqa: B008
     work: Work | None = None,
 ) -> FitCache:
-    """The fit cache of a study, with an earlier individual's model as prior if one is given.
+    """The fit cache of a study, optionally with an earlier individual's model as prior.
 
-    The prior's effects are part of the model, and those of the selection that are.
-    kind  what all such cables have in common; an individual's prior has its own
-    work  that the study may take; None = that of a diagnosis
+    The model contains the prior's effects and the effects selected for it.
+    kind  parameters common to all such cables; an individual's prior has its own
+    work  budget of the study; None = that of a diagnosis
     """
     work = Work(DIAGNOSIS) if work is None else work
     if prior is None:
@@ -57,7 +57,7 @@ def fit_cache_of(
         path, model = prior
         check_same_kind(path, model, study.cable)
         space = prior_space(study, model)
-        noise: Noise | None = None  # of a model that was never compared with a measurement
+        noise: Noise | None = None  # stays None if the model was never fitted
         if model.frames_used:
             noise = misfit(model, _least_rms_m(study, space, model, selection.candidates, work))
         prepared = PreparedStudy.of(study, misfit=noise, work=work)
@@ -80,7 +80,7 @@ def read_kind(config: Path | None) -> ModelClass:
     """
     if config is None:
         return ModelClass()
-    from cell.settings import load_settings  # a fifth of a second, which few have need of
+    from cell.settings import load_settings  # takes 0.2 s, rarely needed
     from cell.settings.translate import model_class_of
 
     return model_class_of(load_settings(config).model)
@@ -93,17 +93,17 @@ def _least_rms_m(
     candidates: Mapping[str, type[Effect]],
     work: Work,
 ) -> float:
-    """Error of the earlier individual's model with whichever single effect helps it most, m.
+    """Error of the earlier individual's model with the best single effect added, m.
 
-    What even that leaves is the model's own error on this study; were it taken for information,
-    the cable's parameters would be bent to remove it.
+    That is the model's own error on this study; without allowing for it, the cable's parameters
+    would be distorted to remove it.
     """
     prepared = PreparedStudy.of(study, misfit=misfit(model), work=work)
     pilot = FitCache.of(SearchSetup(prepared, pinned(space, space.mean), candidates))
     base = pilot.base
     smooth = [e for e in candidates.values() if e.smooth and e not in space.effects]
-    tried = pilot.fit_extended(base, smooth)
-    return min([base.fit.rms_m, *(c.fit.rms_m for c in tried)])
+    extended = pilot.fit_extended(base, smooth)
+    return min([base.fit.rms_m, *(c.fit.rms_m for c in extended)])
 
 
 def read_prior(
@@ -120,13 +120,13 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
     raises  InputError: a model cannot be read or is of another kind of cable; ValueError: no model
             has one of the effects; EffectError; FileNotFoundError
     """
-    given = {name: select_effects([name]) for name in own}
-    effects = {n: e for selection in given.values() for n, e in selection.own.items()}
+    selections = {name: select_effects([name]) for name in own}
+    effects = {n: e for selection in selections.values() for n, e in selection.own.items()}
     models = [read_model(path, effects) for path in paths]
     for path, model in zip(paths, models, strict=True):
         check_same_kind(path, model, cable)
     used = {e.name for m in models for e in m.space.effects}
-    for name, selection in given.items():
+    for name, selection in selections.items():
         if selection.in_model[0].name not in used:
             raise ValueError(
                 f"--with {name}: is not in {' or '.join(map(str, paths))}; "
@@ -138,7 +138,7 @@ def read_models(paths: Sequence[Path], cable: Cable, own: Sequence[str]) -> list
 def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
     """The fits of a study without its outliers, by the baseline's residual, and a note on each.
 
-    A trial that the model cannot simulate is kept as it is.
+    A trial that the model cannot simulate is not changed.
     raises  InputError: too many samples of a marker are outliers
     """
     notes: tuple[str, ...] = ()
@@ -156,14 +156,14 @@ def without_outliers(fits: FitCache) -> tuple[FitCache, tuple[str, ...]]:
 
 
 def _outliers(fits: FitCache) -> list[FloatArray]:
-    """Of every trial (times, channels) how far outliers are away, m; nan for all other samples."""
-    prepared, found = fits.prepared, []
+    """Per trial (times, channels) distance of outliers, m; nan for all other samples."""
+    prepared, distances = fits.prepared, []
     residuals = residuals_m(prepared, fits.base)
     for trial, joined in zip(prepared.unjoined.trials, prepared.study.trials, strict=True):
         markers, residual = trial.markers, residuals.get(trial.name)
         if residual is None or not np.isfinite(residual).any():
-            found.append(np.full((len(markers.t_s), markers.xy_m[0].size), np.nan))
+            distances.append(np.full((len(markers.t_s), markers.xy_m[0].size), np.nan))
             continue
         errors = prepared.of_markers(joined, residual.reshape(joined.markers.xy_m.shape))
-        found.append(outlier_distances(markers.t_s, errors.reshape(len(markers.t_s), -1)))
-    return found
+        distances.append(outlier_distances(markers.t_s, errors.reshape(len(markers.t_s), -1)))
+    return distances

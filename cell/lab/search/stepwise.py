@@ -1,8 +1,8 @@
 """Stepwise search for missing effects: sets of effects, one effect more at a time.
 
-The search is independent of its two parts.  A *space* fits sets of effects: to one study, to many
+The search has two exchangeable parts.  A *space* fits sets of effects: to one study, to many
 cables, or with a model's own error as noise.  It offers the sets with one effect more, and with one
-less.  A *criterion* selects the set that is kept.
+less.  A *criterion* selects the set to continue with.
 
 source  forward and backward selection with exchange: Miller 2002, Subset Selection in Regression;
         the parts kept apart as in PEtab Select (Pathirana et al. 2025)
@@ -28,7 +28,7 @@ class ModelSpace(Protocol[State]):
         ...
 
     def reduced(self, model: State) -> Iterable[State]:
-        """The model without one of the effects that were found, for each of them."""
+        """The model without one of its added effects, for each of them."""
         ...
 
 
@@ -44,18 +44,18 @@ def holm_among(p_values: Sequence[float], library: int) -> list[float]:
 def levels(
     start: State,
     extended: Callable[[State], Sequence[Option]],
-    kept: Callable[[State, Sequence[Option]], Sequence[State]],
+    select: Callable[[State, Sequence[Option]], Sequence[State]],
 ) -> Iterator[Sequence[State]]:
-    """Yield the sets kept at each level, one effect more at each, until none is kept.
+    """Yield the selected sets of each level, one effect more at each, until none is selected.
 
-    A forward search keeps one set of effects of a level, an exhaustive one keeps them all, each
-    once.  The next level is fitted when it is asked for.
+    A forward search selects one set per level, an exhaustive one all of them, each once.  The next
+    level is fitted when it is requested.
     """
     level: Sequence[State] = [start]
     while level:
         yield level
-        found = [chosen for state in level for chosen in kept(state, extended(state))]
-        level = list({id(state): state for state in found}.values())
+        chosen = [new for state in level for new in select(state, extended(state))]
+        level = list({id(state): state for state in chosen}.values())
 
 
 def exchanged(
@@ -66,20 +66,21 @@ def exchanged(
 ) -> FittedModel:
     """The model after exchanges of single effects for others, as long as each is better.
 
-    An effect that was found first was found without the others, and may have stood in for one.
+    An effect selected early was selected without the others, and may have replaced one of them.
 
-    better   of the model without an effect, that with others in its place, and the model itself
+    better   the better option, from the model without an effect, the options with another effect
+             in its place, and the model itself; None if there is none
     allowed  whether there is time for another round
     """
     tried: set[frozenset[str]] = set()
     improved = True
     while improved and allowed():
         improved = False
-        for rest in space.reduced(model):
-            if rest.names in tried:
+        for without in space.reduced(model):
+            if without.names in tried:
                 continue
-            tried.add(rest.names)
-            best = better(rest, space.extended(rest), model)
+            tried.add(without.names)
+            best = better(without, space.extended(without), model)
             if best is not None:
                 model, improved = best, True
                 break
@@ -89,11 +90,11 @@ def exchanged(
 def pruned(space: ModelSpace[State], model: State, needed: Callable[[State, State], bool]) -> State:
     """The model without effects that the others have made unnecessary.
 
-    needed  whether an effect is, by the model without it and the model
+    needed  whether an effect is needed, from the model without it and the model
     """
-    for rest in space.reduced(model):
-        if not needed(rest, model):
-            return pruned(space, rest, needed)
+    for without in space.reduced(model):
+        if not needed(without, model):
+            return pruned(space, without, needed)
     return model
 
 

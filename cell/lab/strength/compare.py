@@ -16,7 +16,7 @@ from cell.lab.data.noise_model import NoiseUnknownError, noise_model_of
 from cell.lab.data.prepared import PreparedStudy, of_frames
 from cell.lab.data.work import SpentError, Work
 from cell.lab.fit.fitting import best_initial_state
-from cell.lab.fit.heldout import predict_whole_cable
+from cell.lab.fit.heldout import predict_cable
 from cell.lab.fit.series import overall
 from cell.lab.strength.trial_residual import (
     TrialResidual,
@@ -27,9 +27,9 @@ from cell.lab.strength.trial_residual import (
 )
 from cell.study.data import Study
 
-#: A residual has a pattern below this p-value of its whiteness, and goes with a signal below it.
+#: p-value of whiteness, or of a correlation with a signal, below which it is significant.
 NOTICEABLE = 0.01
-#: An error below so many times the noise is noise, of which no share can be said to be gone.
+#: An error below this multiple of the noise is noise: no removed share is defined.
 NOISY = 1.02
 
 
@@ -39,11 +39,11 @@ class Comparison:
 
     noise_m      of the measurement: as the study states it, else the camera's at rest
     noise_at_rest_m   the camera's, from frames in which nothing moves; nan if there are none
-    model        name under which it is shown
-    effects      names of those in it, in the order in which they were added
+    model        displayed name
+    effects      names of the model's effects, in the order in which they were added
     predicted_m  per trial (times, markers, 2)
-    cable_m      per trial (times, points from tip to grip, 2): the whole cable predicted
-    where        one per trial, in the study's order
+    cable_m      per trial (times, points from tip to grip, 2): the complete cable predicted
+    where        residual of each trial, in the study's order
     wrenches     one per trial in which a wrench was measured, and which can be simulated
     """
 
@@ -69,7 +69,7 @@ class Comparison:
 
     @property
     def noise_is_stated(self) -> bool:
-        """Whether the study says what its measurement's error is."""
+        """Whether the study states its measurement's error."""
         return self.study.noise_std_m is not None
 
     def patterns(self) -> int:
@@ -125,8 +125,8 @@ def compare_model(
 ) -> Comparison:
     """Errors of a model on all trials; infinite where it cannot be simulated.
 
-    work    to be counted with; where it is spent, trials begin as their first frames show it
-    raises  NoiseUnknownError; StoppedError: no more simulations are wanted
+    work    budget of simulations; if it is spent, initial states come from the first frames only
+    raises  NoiseUnknownError; StoppedError: the caller has stopped the work
     """
     prepared = PreparedStudy.of(study, work=work)
     try:
@@ -137,25 +137,25 @@ def compare_model(
 
 
 def _compared(prepared: PreparedStudy, model: CableModel, name: str) -> Comparison:
-    """The same of a study that was made ready."""
+    """The same for a prepared study."""
     study, noise = prepared.unjoined, prepared.noise_model.noise
     predicted, cable, errors = {}, {}, {}
-    found, wrenches = [], []
+    trial_residuals, wrenches = [], []
     for trial, joined in zip(study.trials, prepared.study.trials, strict=True):
         initial_states = best_initial_state(prepared, model, joined)
-        points, shapes = predict_whole_cable(prepared, joined, [model], initial_states)
+        points, shapes = predict_cable(prepared, joined, [model], initial_states)
         places = prepared.of_markers(joined, points[0])
         predicted[trial.name] = places
         cable[trial.name] = of_frames(prepared, joined, shapes[0])
         if not np.isfinite(points).all():
-            found.append(unsimulated_trial(trial, study.arc_length_m, noise))
+            trial_residuals.append(unsimulated_trial(trial, study.arc_length_m, noise))
             continue
-        # rows are (markers, axes, times); unseen values are exactly zero there
+        # rows are (markers, axes, times); missing values are exactly zero there
         white = prepared.white(joined, points)[0].reshape(-1, 2, len(joined.markers.t_s))
         white = np.where(np.isfinite(joined.markers.xy_m), np.moveaxis(white, 2, 0), np.nan)
         errors[trial.name] = prepared.of_markers(joined, prepared.error_m(joined, points[0]))
         of_places = errors[trial.name], prepared.of_markers(joined, white)
-        found.append(trial_residual(trial, places, *of_places, study.arc_length_m, noise))
+        trial_residuals.append(trial_residual(trial, places, *of_places, study.arc_length_m, noise))
         wrenches.append(wrench_residual(prepared, joined, points[0], white))
 
     def error(role: str) -> float:
@@ -171,7 +171,7 @@ def _compared(prepared: PreparedStudy, model: CableModel, name: str) -> Comparis
         error("validate"),
         predicted,
         cable,
-        tuple(found),
+        tuple(trial_residuals),
         _noise_at_rest_m(prepared),
         name,
         tuple(active.effect.name for active in model.effects),
@@ -204,6 +204,6 @@ def comparisons_json(comparisons: Sequence[Comparison]) -> dict[str, Any]:
 
 
 def model_names(paths: Sequence[Path]) -> list[str]:
-    """Short names of model files, unlike each other."""
+    """Short names of model files, all different."""
     stems = [p.stem for p in paths]
     return [s if stems.count(s) == 1 else str(p) for s, p in zip(stems, paths, strict=True)]

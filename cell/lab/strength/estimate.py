@@ -17,11 +17,11 @@ from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
 from cell.lab.strength.kept_model import omitted_effect_bias
 
-#: Converged simulators of the same cable differ by this much in the parameters that they need.
+#: Relative difference of the parameters fitted by converged simulators of the same cable.
 MODEL_ERROR = 0.01
-#: A trial is asked about directions of which it holds at least this share of all that is known.
+#: A direction of a trial is tested if the trial has this share of all information on it.
 LEAST_KNOWN = 0.01
-#: Trials that share fewer degrees of freedom than this cannot be said to disagree.
+#: Fewest degrees of freedom for a test of the trials' disagreement.
 MIN_FREEDOM = 4
 
 
@@ -29,21 +29,21 @@ MIN_FREEDOM = 4
 class ParameterEstimate:
     """A model's parameters from every trial of a study.
 
-    fit           to all trials, those held out included: they have done their work as judges
-    disagreement  mean square by which trials differ in the parameters that each asks for, 1 if by
-                  their noise alone; the covariance is multiplied by it
-    other_covariance  (p, p) beyond that by noise: by the gripper log, the mesh, effects that the
-                  model lacks, and a fit that was stopped before its minimum
+    fit           to all trials, the held-out ones included: they are no longer needed for tests
+    disagreement  mean square of the differences between the trials' own parameters, 1 if by noise
+                  alone; the covariance is multiplied by it
+    systematic_covariance  (p, p) of errors other than noise: gripper log, mesh, omitted effects,
+                  and a fit that was stopped before its minimum
     """
 
     fit: Fit
     disagreement: float
-    other_covariance: FloatArray | float = 0.0
+    systematic_covariance: FloatArray | float = 0.0
 
     @property
     def covariance(self) -> FloatArray:
         """(p, p) of the fit's coordinates."""
-        return np.asarray(self.fit.covariance * self.disagreement + self.other_covariance)
+        return np.asarray(self.fit.covariance * self.disagreement + self.systematic_covariance)
 
     def coordinate(self, name: str) -> tuple[float, float]:
         """The fit's coordinate of a parameter `effect.parameter`, and its standard deviation."""
@@ -51,9 +51,9 @@ class ParameterEstimate:
         return float(self.fit.q[i]), float(np.sqrt(max(self.covariance[i, i], 1e-300)))
 
     def model_error(self, name: str, value: float) -> float:
-        """Standard deviation by the simulation's own error of a parameter `effect.parameter`.
+        """Standard deviation of a parameter `effect.parameter` by the simulation's own error.
 
-        value  where its coordinate is
+        value  of its coordinate
         """
         space, (owner, _, parameter) = self.fit.space, name.partition(".")
         effect = next(e for e in space.effects if e.name == owner)
@@ -107,8 +107,8 @@ def estimate(
 def disagreement(prepared: PreparedStudy, joint: Fit) -> float:
     """Cochran's Q of the trials over its degrees of freedom, at least 1.
 
-    Each trial, linearised at the common fit, asks for parameters of its own; where the model errs
-    they differ by more than noise explains.
+    Each trial, linearised at the common fit, has its own estimate of the parameters; where the
+    model errs they differ by more than noise explains.
     joint  fit to all trials
     source  Cochran 1954, Biometrics 10, 101; as a factor on the variance: Birge 1932, Phys. Rev.
             40, 207
@@ -122,9 +122,9 @@ def disagreement(prepared: PreparedStudy, joint: Fit) -> float:
     square, dof = 0.0, -float(np.count_nonzero(free))
     for name, of_trial in jacobians.items():
         jacobian = of_trial[:, free] @ unit
-        known, directions = np.linalg.eigh(jacobian.T @ jacobian)
+        information, directions = np.linalg.eigh(jacobian.T @ jacobian)
         score = directions.T @ (jacobian.T @ residuals[name])
-        kept = known > LEAST_KNOWN
-        square += float(np.sum(score[kept] ** 2 / known[kept]))
-        dof += float(np.count_nonzero(kept))
+        informative = information > LEAST_KNOWN
+        square += float(np.sum(score[informative] ** 2 / information[informative]))
+        dof += float(np.count_nonzero(informative))
     return max(1.0, square / dof) if dof >= MIN_FREEDOM else 1.0

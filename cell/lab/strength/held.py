@@ -45,41 +45,41 @@ class HeldEffect:
 
     @cached_property
     def _held(self) -> list[int]:
-        """Which of these are held."""
+        """Indices of the held parameters."""
         return [
             self.space.names.index(f"{self.effect.name}.{p.name}")
             for i, p in enumerate(self.effect.parameters)
             if i == self.amplitude or not p.amplitude
         ]
 
-    def answer(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
-        """(p + unknowns of initial states,) where everything else goes, were it linear.
+    def response(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
+        """(p + unknowns of initial states,) coordinates of a linear refit with the effect held.
 
-        change  (rows,) of what is seen by the effect alone
+        change  (rows,) of the observations by the effect alone
         others  (n, rows) the same per unit of each of its free amplitudes
         """
-        slopes = jacobian_with_prior(self.fit)
-        step = np.linalg.lstsq(np.column_stack([slopes, -others.T]), change, rcond=None)[0]
-        p, all_q = len(self.fit.q), slopes.shape[1]
+        jacobian = jacobian_with_prior(self.fit)
+        step = np.linalg.lstsq(np.column_stack([jacobian, -others.T]), change, rcond=None)[0]
+        p, all_q = len(self.fit.q), jacobian.shape[1]
         values = np.array(active.values)
-        free = [i for i, x in enumerate(self.effect.parameters) if x.amplitude]
-        values[[i for i in free if i != self.amplitude]] += step[all_q:]
+        amplitudes = [i for i, x in enumerate(self.effect.parameters) if x.amplitude]
+        values[[i for i in amplitudes if i != self.amplitude]] += step[all_q:]
         q = extended(self.fit, self.space, self.effect, values)
         q[:p] += step[:p]
         q = np.clip(q, self.space.low, self.space.high)
         return np.concatenate([q, self.fit.solution.q[p:] + step[p:all_q]])
 
-    def at(self, active: ActiveEffect, near: FloatArray | None) -> FloatArray:
-        """The effect's held parameters as given, everything else as at `near`; None = as fitted."""
+    def at(self, active: ActiveEffect, base: FloatArray | None) -> FloatArray:
+        """Coordinates with the held parameters set, the others from `base`; None = from the fit."""
         q = extended(self.fit, self.space, self.effect, np.array(active.values))
-        if near is None:
+        if base is None:
             return np.concatenate([q, self.fit.solution.q[len(self.fit.q) :]])
-        moved = near.copy()
+        moved = base.copy()
         moved[self._held] = q[self._held]
         return moved
 
     def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The model's coordinates fitted anew from q, the effect held as there, and the change.
+        """The model's coordinates refitted from q, the effect held as there, and the change.
 
         raises  UnsimulatedError: it cannot be simulated there
         """
@@ -101,16 +101,16 @@ class HeldEffect:
 def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
     """(rows,) change from the fit by each held effect at its q, simulated in one batch.
 
-    held  given the same fit
+    held  of the same fit
     q     (p + unknowns of initial states,) of each
     """
     if not held:
         return []
     prepared, fit = held[0].prepared, held[0].fit
     trials = fit_trials(prepared)
-    places = [(h, len(h.space.names), one) for h, one in zip(held, q, strict=True)]
-    models = [fit.model, *(h.space.model(one[:p]) for h, p, one in places)]
-    rest = np.stack([fit.solution.q[len(fit.q) :], *(one[p:] for _, p, one in places)])
-    white = prepared.white_near(trials, models, by_trial(prepared, trials, rest))
+    places = [(h, len(h.space.names), q_one) for h, q_one in zip(held, q, strict=True)]
+    models = [fit.model, *(h.space.model(q_one[:p]) for h, p, q_one in places)]
+    states = np.stack([fit.solution.q[len(fit.q) :], *(q_one[p:] for _, p, q_one in places)])
+    white = prepared.white_near(trials, models, by_trial(prepared, trials, states))
     changes = white[0] - white[1:]
-    return [h._with_prior(one, row) for (h, _, one), row in zip(places, changes, strict=True)]
+    return [h._with_prior(q_one, row) for (h, _, q_one), row in zip(places, changes, strict=True)]

@@ -24,21 +24,21 @@ from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.projection import orthonormal
 from cell.lab.fit.sensitivity import one_sided
 
-#: Effects taken in at most, one after another, until what is left is noise.
+#: Most effects added, one after another, until the residual is noise.
 MOST = 4
-#: Parts of a trial that are taken for independent where a model errs.
+#: Number of parts of a trial that count as independent clusters of model error.
 PARTS = 4
-#: Less of an effect than this share is not told from what the parameters do.
-LEAST_LEFT = 1e-6
+#: An effect with less than this share orthogonal to the parameters cannot be distinguished.
+LEAST_SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class OmittedEffectBias:
     """Omitted effects that explain the residual, and the bias of the parameters without them.
 
-    effects     that explain what it leaves, linearly, the one that explains most first
-    covariance  (p, p) of the fit's coordinates by their absence: how far they move with these in,
-                and how uncertain that is; 0 where what is left is noise
+    effects     that explain the residual, linearly, the one that explains most first
+    covariance  (p, p) of the fit's coordinates by the omission: the square of their shift when the
+                effects are added, and its uncertainty; 0 where the residual is noise
     """
 
     effects: tuple[str, ...]
@@ -46,83 +46,85 @@ class OmittedEffectBias:
 
 
 @dataclass(frozen=True, eq=False)
-class _Option:
+class _CandidateEffect:
     """An effect of one shape: rows (amplitudes, rows) by which its amplitudes change the residual.
 
-    seen  the same without what the fitted parameters imitate
+    orthogonal  the same, projected off the fitted parameters
     """
 
     effect: type[Effect]
     rows: FloatArray
-    seen: FloatArray
+    orthogonal: FloatArray
 
 
 def omitted_effect_bias(joint: AllTrialsFit, effects: Iterable[type[Effect]]) -> OmittedEffectBias:
     """The bias of a fitted model's parameters that omitted effects may cause."""
     fit, linear = joint.fit, joint.linear
     p, none = len(fit.q), np.zeros((len(fit.q), len(fit.q)))
-    tried = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
-    chosen, factor = _explaining(joint, _options(joint, tried))
+    candidates = [e for e in effects if e.name not in {x.name for x in fit.space.effects}]
+    chosen, factor = _explaining(joint, _candidates(joint, candidates))
     if not chosen:
         return OmittedEffectBias((), none)
-    rows, seen = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "seen"))
-    amplitudes = np.linalg.lstsq(seen.T, linear.residual, rcond=1e-8)[0]
+    rows, orthogonal = (np.vstack([getattr(o, v) for o in chosen]) for v in ("rows", "orthogonal"))
+    amplitudes = np.linalg.lstsq(orthogonal.T, linear.residual, rcond=1e-8)[0]
     by_each = linear.coordinates(rows)
-    moved = by_each @ amplitudes
-    spread = by_each @ np.linalg.pinv(seen @ seen.T) @ by_each.T * factor
+    shift = by_each @ amplitudes
+    spread = by_each @ np.linalg.pinv(orthogonal @ orthogonal.T) @ by_each.T * factor
     all_of = np.zeros((len(fit.solution.q), len(fit.solution.q)))
     free = fit.solution.free
-    all_of[np.ix_(free, free)] = np.outer(moved, moved) + spread + _by_parts(joint)
+    all_of[np.ix_(free, free)] = np.outer(shift, shift) + spread + _cluster_covariance(joint)
     return OmittedEffectBias(tuple(o.effect.name for o in chosen), all_of[:p, :p])
 
 
-def _options(joint: AllTrialsFit, effects: Sequence[type[Effect]]) -> list[_Option]:
-    """Effects at every guess of their shape, but those of which nothing is seen."""
-    options = []
+def _candidates(joint: AllTrialsFit, effects: Sequence[type[Effect]]) -> list[_CandidateEffect]:
+    """Effects at every guess of their shape, without those that the parameters imitate fully."""
+    candidates = []
     for slopes in joint.sensitivities(effects):
         for rows in slopes.rows:
-            seen = joint.linear.remove(rows)
-            if np.linalg.norm(seen) > LEAST_LEFT * np.linalg.norm(rows):
-                options.append(_Option(slopes.effect, rows, seen))
-    return options
+            orthogonal = joint.linear.remove(rows)
+            if np.linalg.norm(orthogonal) > LEAST_SHARE * np.linalg.norm(rows):
+                candidates.append(_CandidateEffect(slopes.effect, rows, orthogonal))
+    return candidates
 
 
-def _explaining(joint: AllTrialsFit, options: Sequence[_Option]) -> tuple[list[_Option], float]:
-    """Those that explain most, one after another while significant; and the variance left."""
-    prepared, errs = joint.prepared, joint.systematic_error
+def _explaining(
+    joint: AllTrialsFit, options: Sequence[_CandidateEffect]
+) -> tuple[list[_CandidateEffect], float]:
+    """Effects selected forward while significant, and the residual's variance inflation."""
+    prepared, systematic = joint.prepared, joint.systematic_error
     whiteners = [prepared.whiteners[t.name] for t in fit_trials(prepared)]
-    chosen: list[_Option] = []
-    left, factor = joint.linear.residual, 1.0
-    taken = np.zeros((0, len(left)))
+    chosen: list[_CandidateEffect] = []
+    residual, factor = joint.linear.residual, 1.0
+    basis = np.zeros((0, len(residual)))
     while len(chosen) < MOST:
         names = {o.effect.name for o in chosen}
-        found = [(o, _explained(o, taken, left)) for o in options if o.effect.name not in names]
-        best, explained = max(found, key=lambda f: float(f[1] @ f[1]), default=(None, left))
+        tried = [(o, _explained(o, basis, residual)) for o in options if o.effect.name not in names]
+        best, explained = max(tried, key=lambda f: float(f[1] @ f[1]), default=(None, residual))
         if best is None or not (square := float(explained @ explained)) > 0.0:
             break
-        after = left - explained
-        inflation = variance_inflation(after[: len(errs.mesh)], whiteners, len(joint.fit.q))
-        expected = inflation + errs.variance(explained) / square
-        chance = len(options) * float(chi2_sf(len(best.rows), square / expected))
-        if chance > SIGNIFICANCE:
+        after = residual - explained
+        inflation = variance_inflation(after[: len(systematic.mesh)], whiteners, len(joint.fit.q))
+        expected = inflation + systematic.variance(explained) / square
+        p_value = len(options) * float(chi2_sf(len(best.rows), square / expected))
+        if p_value > SIGNIFICANCE:
             break
         chosen.append(best)
-        taken = orthonormal(np.vstack([taken, best.seen]).T, 1e-8, of_largest=True).T
-        left, factor = after, inflation
+        basis = orthonormal(np.vstack([basis, best.orthogonal]).T, 1e-8, of_largest=True).T
+        residual, factor = after, inflation
     return chosen, factor
 
 
-def _explained(option: _Option, taken: FloatArray, left: FloatArray) -> FloatArray:
-    """(rows,) that an option explains of the residual given others; none by a wrong sign."""
-    orthogonal = option.seen - (option.seen @ taken.T) @ taken
-    amplitudes = np.linalg.lstsq(orthogonal.T, left, rcond=1e-8)[0]
-    if one_sided(option.effect) and amplitudes[0] < 0.0:
-        return np.zeros_like(left)
+def _explained(candidate: _CandidateEffect, basis: FloatArray, residual: FloatArray) -> FloatArray:
+    """(rows,) part of the residual that a candidate explains; zero if its sign is wrong."""
+    orthogonal = candidate.orthogonal - (candidate.orthogonal @ basis.T) @ basis
+    amplitudes = np.linalg.lstsq(orthogonal.T, residual, rcond=1e-8)[0]
+    if one_sided(candidate.effect) and amplitudes[0] < 0.0:
+        return np.zeros_like(residual)
     return np.asarray(amplitudes @ orthogonal)
 
 
-def _by_parts(joint: AllTrialsFit) -> FloatArray:
-    """(free, free) by how much parts of trials ask for coordinates of their own.
+def _cluster_covariance(joint: AllTrialsFit) -> FloatArray:
+    """(free, free) covariance of the coordinates by clusters: parts of trials.
 
     source  Liang & Zeger 1986, Biometrika 73, 13: the sandwich of clusters within which anything
             may depend on anything
@@ -134,8 +136,8 @@ def _by_parts(joint: AllTrialsFit) -> FloatArray:
     for name, of_trial in rows.items():
         in_frames = of_trial.reshape(-1, prepared.whiteners[name].frames)
         for part in np.array_split(in_frames, PARTS, axis=1):
-            slopes = solution.jacobian[part.ravel()][:, solution.free]
-            scores.append(slopes.T @ linear.residual[part.ravel()])
+            jacobian = solution.jacobian[part.ravel()][:, solution.free]
+            scores.append(jacobian.T @ linear.residual[part.ravel()])
     by_part = np.array(scores) @ inside
     return np.asarray(by_part.T @ by_part * len(scores) / (len(scores) - 1))
 
@@ -145,14 +147,14 @@ def identified(
 ) -> Identified:
     """A fit as an `Identified` model, with intervals widened by its residual.
 
-    effects  that it may lack: where what is left is not noise, its parameters are as uncertain as
-             they move with those in that explain it
+    effects  that it may lack: where the residual is not noise, the parameters' shift by those
+             that explain it adds to their uncertainty
     """
     trials = fit_trials(prepared)
     whiteners = [prepared.whiteners[t.name] for t in trials]
     solution, p = fit.solution, len(fit.q)
     inflation = variance_inflation(solution.residual, whiteners, len(solution.q))
-    # What the data say is worth less by the inflation, what the prior says is not.
+    # The inflation reduces the information of the data, not of the prior.
     precision = solution.jacobian.T @ solution.jacobian / inflation
     precision[:p, :p] += fit.space.precision
     precision[p:, p:] += np.diag(1.0 / fit.initial_state_std**2)
@@ -160,11 +162,11 @@ def identified(
     joint = AllTrialsFit(prepared, fit)
     by_log = joint.systematic_error.covariance(noise_only[:p] @ solution.jacobian.T / inflation)
     unfinished = solution.unfinished[:p, :p]
-    missed = omitted_effect_bias(joint, effects)
+    bias = omitted_effect_bias(joint, effects)
     return Identified(
         space=fit.space,
         mean=fit.q,
-        covariance=np.asarray(noise_only[:p, :p] + by_log + missed.covariance + unfinished),
+        covariance=np.asarray(noise_only[:p, :p] + by_log + bias.covariance + unfinished),
         noise=prepared.expected,
         residual_rms_m=fit.rms_m,
         converged=fit.arrived,
@@ -174,5 +176,5 @@ def identified(
         iterations=fit.solution.iterations,
         method="map",
         gripper_covariance=by_log,
-        lacks=missed.effects,
+        lacks=bias.effects,
     )

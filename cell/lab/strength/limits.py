@@ -27,23 +27,22 @@ from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
 from cell.lab.strength.held import HeldEffect, all_changes
 
 CONFIDENCE = 0.95
-#: A limit is simulated, and moved to where the effect so strong is excluded, this often; not again
-#: if that was by less than this share.
+#: Number of simulations of a limit, each moving it to where the effect is excluded; fewer if it
+#: moves by less than this share.
 ROUNDS, NEARLY = 3, 0.01
-#: Less of a sensitivity than this share is not told from what the other parameters do.
-LEAST_LEFT = 1e-6
-#: Nearer to none of the effect than this many standard deviations its slope at zero is exact.
+#: Below this share of its norm, a projected sensitivity cannot be distinguished from zero.
+LEAST_SHARE = 1e-6
+#: A limit within this many standard deviations of zero is linear: the slope at zero is exact.
 NEAR = 0.3
-#: A guess of an effect's shape that explains less than the best by this χ² is not its shape; nor by
-#: this share of what the best explains: slopes at none of an effect promise what a strong one
-#: explains no better.
+#: A shape of an effect is excluded if it explains less than the best shape by this χ², and by this
+#: share of what the best explains (slopes at zero are inaccurate for a strong effect).
 TIE, TIE_SHARE = 9.0, 0.25
-#: Where everything else answers an effect as its slopes promise, give or take this share of what is
-#: left of the effect, no refit is needed.
-AS_PROMISED = 0.1
-#: Refits of an end, at most; it is found if the next would be nearer than this, in logarithm.
+#: No refit is needed if the other parameters respond to the effect as their slopes predict, within
+#: this share of the effect's change that they cannot imitate.
+AS_PREDICTED = 0.1
+#: Most refits of an end; it has converged if ln of its size changes by less than this.
 REFITS, SETTLED = 3, 0.1
-#: Steepest slope believed of how a refitted end depends on where it is held.
+#: Steepest credible slope of a refitted end by the size at which the effect is held.
 STEEPEST = 3.0
 
 
@@ -53,12 +52,12 @@ class Side:
 
     sign    of the side
     std     of the amplitude
-    values  of the effect's parameters: the guess of its shape that puts the end farthest out
+    values  of the effect's parameters: the guess of its shape with the largest limit
     rows    (n, values) slopes of its other amplitudes; others: basis of what they can imitate
-    change  of what is seen, by the effect so strong; converged: further simulations change
-            nothing; seen: there is an end within the bounds
-    first   the end by slopes at none of the effect
-    tried   (ln size, ln of how many times farther out it then seemed to be) so far
+    change  of the observations by the effect of this size; converged: further simulations change
+            nothing; in_bounds: there is an end within the bounds
+    first   the end by slopes at zero
+    tried   (ln size, ln of the ratio of the next estimate to it) so far
     """
 
     sign: float
@@ -70,7 +69,7 @@ class Side:
     first: float
     change: FloatArray | None = None
     converged: bool = False
-    seen: bool = True
+    in_bounds: bool = True
     tried: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -102,16 +101,16 @@ class LimitSearch:
         self._sides = self._first_sides(slopes, j)
 
     def _first_sides(self, slopes: Sensitivity, j: int) -> list[Side]:
-        """The farthest end on each side, by slopes, over guesses of its shape that fit as well."""
+        """The farthest end on each side, by slopes, over shapes that fit about equally well."""
         tried: list[tuple[float, Side]] = []
         for shape, rows in enumerate(slopes.rows):
             rest = np.delete(rows, j, axis=0)
             basis = orthonormal(self._nuisance.remove(rest).T, 1e-8, of_largest=True)
-            left = self._not_imitated(rows[j], basis)
-            if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(rows[j])):
+            orthogonal = self._not_imitated(rows[j], basis)
+            if not float(np.linalg.norm(orthogonal)) > LEAST_SHARE * float(np.linalg.norm(rows[j])):
                 continue
-            size, std = self._estimate(left)
-            square = float(left @ left) / self._inflation
+            size, std = self._estimate(orthogonal)
+            square = float(orthogonal @ orthogonal) / self._inflation
             explained = square * (max(size, 0.0) if self._one_sided else size) ** 2
             for sign in (1.0,) if self._one_sided else (-1.0, 1.0):
                 end = self._end(sign, size, std)
@@ -119,109 +118,109 @@ class LimitSearch:
                 tried.append((explained, side))
         best = max((explained for explained, _ in tried), default=0.0)
         least = best - max(TIE, TIE_SHARE * best)
-        kept = [side for explained, side in tried if explained >= least]
+        plausible = [side for explained, side in tried if explained >= least]
         return [
-            max((s for s in kept if s.sign == sign), key=lambda s: s.sign * s.size)
-            for sign in sorted({s.sign for s in kept})
+            max((s for s in plausible if s.sign == sign), key=lambda s: s.sign * s.size)
+            for sign in sorted({s.sign for s in plausible})
         ]
 
     def _not_imitated(self, row: FloatArray, others: FloatArray) -> FloatArray:
-        """What the other parameters do not imitate of a change."""
-        left = self._nuisance.remove(row)
-        return np.asarray(left - (left @ others) @ others.T)
+        """Part of a change that the other parameters cannot imitate."""
+        orthogonal = self._nuisance.remove(row)
+        return np.asarray(orthogonal - (orthogonal @ others) @ others.T)
 
-    def _estimate(self, left: FloatArray) -> tuple[float, float]:
-        """Expected size and its standard deviation, by what is seen per unit of the amplitude."""
-        square = float(left @ left)
-        size = float(left @ self._nuisance.residual) / square
-        factor = self._inflation + self._systematic_error.variance(left) / square
-        return size, float(np.sqrt(max(factor, self._disagreement(left, size, factor)) / square))
+    def _estimate(self, change: FloatArray) -> tuple[float, float]:
+        """Estimated size and its standard deviation, from the change per unit of the amplitude."""
+        square = float(change @ change)
+        size = float(change @ self._nuisance.residual) / square
+        factor = self._inflation + self._systematic_error.variance(change) / square
+        return size, float(np.sqrt(max(factor, self._disagreement(change, size, factor)) / square))
 
-    def _disagreement(self, left: FloatArray, size: float, expected: float) -> float:
-        """Cochran's Q over its degrees of freedom: by how much trials ask for sizes of their own.
+    def _disagreement(self, orthogonal: FloatArray, size: float, expected: float) -> float:
+        """Cochran's Q over its degrees of freedom: disagreement of the trials on the size.
 
-        Where that is no more than chance may do, `expected`.
+        `expected` where the disagreement is not significant.
         """
         parts = zip(
-            self._systematic_error.by_trial(left),
+            self._systematic_error.by_trial(orthogonal),
             self._systematic_error.by_trial(self._nuisance.residual),
             strict=True,
         )
-        known, asked = np.array([(one @ one, one @ residual) for one, residual in parts]).T
-        telling = known > LEAST_KNOWN * known.sum()
-        dof = int(telling.sum()) - 1
+        information, score = np.array([(row @ row, row @ residual) for row, residual in parts]).T
+        informative = information > LEAST_KNOWN * information.sum()
+        dof = int(informative.sum()) - 1
         if dof < MIN_FREEDOM:
             return expected
-        q = float(np.sum((asked - size * known)[telling] ** 2 / known[telling]))
+        q = float(np.sum((score - size * information)[informative] ** 2 / information[informative]))
         disagree = float(chi2_sf(dof, q / expected)) < 1.0 - CONFIDENCE
         return q / dof if disagree else expected
 
     def _end(self, sign: float, size: float, std: float) -> float:
-        """End of the range on a side, from none of the effect."""
+        """End of the range on a side, as distance from zero."""
         return (max(size, 0.0) if self._one_sided else size) + sign * self._reach * std
 
     def open_sides(self) -> list[Side]:
         """Ends that are within the parameter's bounds, and so are to be simulated."""
         low, high = self._room
         for side in self._sides:
-            side.seen = side.seen and low < side.size < high
-        return [side for side in self._sides if side.seen]
+            side.in_bounds = side.in_bounds and low < side.size < high
+        return [side for side in self._sides if side.in_bounds]
 
     def active(self, side: Side) -> ActiveEffect:
-        """The effect as strong as an end says, its other amplitudes off."""
+        """The effect with the size of an end, its other amplitudes zero."""
         values = side.values.copy()
         for k, p in enumerate(self.effect.parameters):
             if p.amplitude:
                 values[k] = p.default + (side.size if k == self.which else 0.0)
         return ActiveEffect(self.effect, tuple(map(float, values)))
 
-    def simulated(self, side: Side, change: FloatArray) -> None:
-        """Move an end to where it is excluded, by the change that the effect so strong makes."""
+    def update(self, side: Side, change: FloatArray) -> None:
+        """Move an end to where it is excluded, by the simulated change of the effect at the end."""
         if not np.all(np.isfinite(change)):
-            side.seen = False
+            side.in_bounds = False
             return
         side.change = change
         if self.exact(side):
             side.converged = True
             return
         row = self._with_prior(change) / side.size
-        left = self._not_imitated(row, side.others)
-        if not float(np.linalg.norm(left)) > LEAST_LEFT * float(np.linalg.norm(row)):
-            side.seen = False
+        orthogonal = self._not_imitated(row, side.others)
+        if not float(np.linalg.norm(orthogonal)) > LEAST_SHARE * float(np.linalg.norm(row)):
+            side.in_bounds = False
             return
         before = side.size
-        self._step(side, self._end(side.sign, *self._estimate(left)))
+        self._step(side, self._end(side.sign, *self._estimate(orthogonal)))
         side.converged = abs(side.size - before) < NEARLY * abs(before)
 
     def exact(self, side: Side) -> bool:
-        """Whether an end is so near to none of the effect that its slope there is all there is."""
+        """Whether an end is so near to zero that the slope at zero is exact."""
         return side.change is None or abs(side.first) < NEAR * side.std
 
-    def answer(self, side: Side, held: HeldEffect) -> FloatArray:
-        """Where everything else goes, by its slopes, with the effect at an end."""
+    def response(self, side: Side, held: HeldEffect) -> FloatArray:
+        """Coordinates of all other parameters, by their slopes, with the effect at an end."""
         assert side.change is not None
-        return held.answer(self.active(side), self._with_prior(side.change), side.rows)
+        return held.response(self.active(side), self._with_prior(side.change), side.rows)
 
     def confirm(self, side: Side, held: HeldEffect, q: FloatArray, change: FloatArray) -> None:
-        """Keep an end if everything else answers the effect as promised; if not, refit there.
+        """Keep an end if the other parameters respond as their slopes predict; if not, refit there.
 
-        change  of what is seen where it answers, at q
+        change  of the observations, simulated at the response q
         """
         assert side.change is not None
-        promised = self._not_imitated(self._with_prior(side.change), side.others)
-        off = self._not_imitated(change, side.others) - promised
-        if float(np.linalg.norm(off)) < AS_PROMISED * float(np.linalg.norm(promised)):
+        predicted = self._not_imitated(self._with_prior(side.change), side.others)
+        off = self._not_imitated(change, side.others) - predicted
+        if float(np.linalg.norm(off)) < AS_PREDICTED * float(np.linalg.norm(predicted)):
             return
         self._refit(side, held, q if np.all(np.isfinite(off)) else None)
 
     def _refit(self, side: Side, held: HeldEffect, q: FloatArray | None) -> None:
-        """Move an end to where the effect held there, everything else refitted, is excluded."""
+        """Move an end to where the effect is excluded with all other parameters refitted."""
         side.tried = []
         for _ in range(REFITS):
             try:
                 q, change = held.refitted(held.at(self.active(side), q))
             except UNSIMULATED:
-                side.seen = False
+                side.in_bounds = False
                 return
             size, std = self._estimate(change / side.size)
             end = self._end(side.sign, size, std)
@@ -234,10 +233,10 @@ class LimitSearch:
                 return
 
     def _step(self, side: Side, end: float) -> None:
-        """Move an end towards where it seems to be; by less where the last move went too far.
+        """Move an end towards its new estimate; by less where the last move went too far.
 
-        A strong effect bends what the other parameters do, so that the end seems much nearer than
-        where it is, and from there much farther.
+        A strong effect is nonlinear in the other parameters: the estimate can be far too small at
+        one size, and far too large at the next.
         """
         ratio = end / side.size
         if not ratio > 0.0:
@@ -247,7 +246,7 @@ class LimitSearch:
         self._move(side, side.size * float(np.exp(_further(side.tried))))
 
     def _with_prior(self, change: FloatArray) -> FloatArray:
-        """A change that leaves the prior's rows as they are."""
+        """A change padded with zeros for the prior's rows."""
         return np.pad(change, (0, len(self._nuisance.residual) - len(change)))
 
     def _move(self, side: Side, size: float) -> None:
@@ -256,13 +255,13 @@ class LimitSearch:
         side.size = size
 
     def limit(self, prepared: PreparedStudy) -> Limit:
-        """What was found."""
+        """The limit of the amplitude; with None for ends that are not within the bounds."""
         p = self._parameter
         low, high = self._room
-        seen = bool(self._sides) and all(
-            s.seen and s.change is not None and low < s.size < high for s in self._sides
+        complete = bool(self._sides) and all(
+            s.in_bounds and s.change is not None and low < s.size < high for s in self._sides
         )
-        if not seen:
+        if not complete:
             return Limit(self.effect.name, p.name, p.unit, None, None, None)
         ends = [p.default + s.size for s in self._sides]
         tip_m = max(_tip_m(prepared, s.change) for s in self._sides if s.change is not None)
@@ -289,7 +288,7 @@ def _tip_m(prepared: PreparedStudy, change: FloatArray) -> float:
     return max(float(d.max(initial=0.0)) for d in distance)
 
 
-#: Effects are shared out in so many parts for each core.
+#: Number of jobs per core.
 PER_CORE = 2
 
 
@@ -298,15 +297,15 @@ def limits(
 ) -> tuple[Limit, ...]:
     """95 % limits of the amplitudes of effects given a fitted model, each effect alone.
 
-    The score's estimate and standard deviation, everything that was fitted and the effect's other
-    amplitudes free, farthest out over the guesses of its shape that fit as well; widened by what
-    the model leaves beyond noise, or by how much trials disagree on the size.  Then the effect is
-    simulated so strong, and the limit moved to where it is excluded as it is and not as its slope
-    says.  Where everything else does not answer it as slopes promise, all of it is fitted anew with
-    the effect held there (profile likelihood).
+    The limit follows from the score's estimate and standard deviation, with all fitted parameters
+    and the effect's other amplitudes free; the largest of the shapes that fit about equally well.
+    It is widened by the residual's excess over noise, or by the trials' disagreement on the size.
+    Then the effect is simulated at its limit, which corrects for nonlinearity.  Where the other
+    parameters do not respond as their slopes predict, they are refitted with the effect held there
+    (profile likelihood).
 
-    Of an amplitude of one sign the limit is one-sided, and an estimate below none of it counts as
-    none: no limit is below what the study can show (a power-constrained limit).
+    The limit of a one-sided amplitude is one-sided, and a negative estimate counts as zero: no
+    limit is below what the study can detect (a power-constrained limit).
     """
     progress("how strong other effects could be")
     prepared, fit, mesh = joint.prepared, joint.fit, joint.systematic_error.mesh
@@ -323,18 +322,18 @@ def limits(
     jobs = [effects[i::count] for i in range(count)]
     known_effects = (*fit.space.effects, *effects)
     with side_by_side(prepared.work, [of_some], known_effects, len(jobs)) as pool:
-        found = pool.map(
+        groups = pool.map(
             of_some,
             jobs,
             lambda _: (),
             lambda *_: progress("how strong other effects could be", next(done), len(jobs)),
         )
-    by_effect = itertools.groupby(itertools.chain(*found), key=lambda limit: limit.effect)
-    known = {name: tuple(of_it) for name, of_it in by_effect}
+    by_effect = itertools.groupby(itertools.chain(*groups), key=lambda limit: limit.effect)
+    limits_of = {name: tuple(of_it) for name, of_it in by_effect}
     for effect in effects:
-        if effect.name not in known:
+        if effect.name not in limits_of:
             prepared.work.leave_out(f"the limit of {effect.name}")
-    return tuple(limit for effect in effects for limit in known.get(effect.name, ()))
+    return tuple(limit for effect in effects for limit in limits_of.get(effect.name, ()))
 
 
 def _limits_of(
@@ -342,29 +341,29 @@ def _limits_of(
 ) -> tuple[Limit, ...]:
     """Limits of some effects, simulated together on one core.
 
-    inflation  by which what the model leaves beyond noise widens variances
+    inflation  variance inflation by the residual's excess over noise
     """
     prepared, fit = joint.prepared.on_one_core(), joint.fit
-    found = [
+    searches = [
         LimitSearch(slopes, j, nuisance, joint.systematic_error, inflation)
         for slopes in replace(joint, prepared=prepared).sensitivities(effects)
         for j in range(slopes.rows.shape[1])
     ]
     for _ in range(ROUNDS):
-        sides = [(s, side) for s in found for side in s.open_sides() if not side.converged]
+        sides = [(s, side) for s in searches for side in s.open_sides() if not side.converged]
         if not sides:
             break
-        moved = changes(prepared, fit, [s.active(side) for s, side in sides])
-        for (search, side), change in zip(sides, moved, strict=True):
-            search.simulated(side, change)
-    answered = [
+        moved_rows = changes(prepared, fit, [s.active(side) for s, side in sides])
+        for (search, side), change in zip(sides, moved_rows, strict=True):
+            search.update(side, change)
+    nonlinear = [
         (search, side, HeldEffect(prepared, fit, search.effect, search.which))
-        for search in found
+        for search in searches
         for side in search.open_sides()
         if not search.exact(side)
     ]
-    q = [search.answer(side, held) for search, side, held in answered]
-    changed = all_changes([held for _, _, held in answered], q)
-    for (search, side, held), near, change in zip(answered, q, changed, strict=True):
-        search.confirm(side, held, near, change)
-    return tuple(search.limit(prepared) for search in found)
+    q = [search.response(side, held) for search, side, held in nonlinear]
+    simulated = all_changes([held for _, _, held in nonlinear], q)
+    for (search, side, held), response, change in zip(nonlinear, q, simulated, strict=True):
+        search.confirm(side, held, response, change)
+    return tuple(search.limit(prepared) for search in searches)

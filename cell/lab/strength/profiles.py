@@ -18,7 +18,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
 
-#: Each point is a fit of its own, near the one before.
+#: Each point is a separate fit, started from the previous one.
 _POINT = Options(tolerance=0.1, max_iterations=12, least_gain=1e-3, updates=3)
 
 
@@ -27,10 +27,10 @@ class ParameterProfile:
     """The profile of one parameter in natural values.
 
     fitted             the fit's value
-    value, low, high   the likeliest, and the ends of the 95 % interval; infinite where it has none
+    value, low, high   the likeliest, and the ends of the 95 % interval; infinite if open
     wald               low and high by the curvature at the minimum
-    values, rise       (points,) where it was held, and by how much -2 ln likelihood rose there
-    at_bound           (points,) names of other parameters that came to a bound there
+    values, rise       (points,) held values, and the rise of -2 ln likelihood there
+    at_bound           (points,) names of other parameters at a bound there
     better             a lower minimum was met on the way
     """
 
@@ -69,10 +69,10 @@ def each_profile(
 ) -> Iterator[ParameterProfile]:
     """Yield the profile of each free parameter, all others refitted at every point.
 
-    What the model leaves beyond noise weighs as in its other intervals: all but the prior is
-    divided by the root of its inflation, so that the likeliest value is nearer to the prior.  What
-    effects that it lacks would make of its parameters is in those alone, not in a profile.
-    model  of the fit: with the noise that it was fitted with
+    The residual's excess over noise counts as in the model's other intervals: all but the prior is
+    divided by the root of the inflation, so that the likeliest value is nearer to the prior.  The
+    bias by omitted effects is included in those intervals only, not in a profile.
+    model  of the fit, with the noise used there
     """
     space = fit.space
     prepared = PreparedStudy.of(
@@ -122,17 +122,17 @@ def _natural(
     )
 
 
-def profile_sentences(found: Sequence[ParameterProfile]) -> list[str]:
+def profile_sentences(profiles: Sequence[ParameterProfile]) -> list[str]:
     """Remarks on the profiles: open intervals, parameters at bounds, a better minimum."""
-    said = []
-    for p in found:
+    notes = []
+    for p in profiles:
         if p.better:
-            said.append(f"{p.name}: the profile found a better fit than the one it started from")
+            notes.append(f"{p.name}: the profile found a better fit than the one it started from")
         if not (np.isfinite(p.low) and np.isfinite(p.high)):
             sides = [w for w, v in (("low", p.low), ("high", p.high)) if not np.isfinite(v)]
-            said.append(f"{p.name} is not bounded by this study: no {' or '.join(sides)} value is "
-                        "excluded")  # fmt: skip
-        others = sorted({n for names in p.at_bound for n in names})
-        if others:
-            said.append(f"{p.name}: its interval depends on the bound of {', '.join(others)}")
-    return said
+            notes.append(f"{p.name} is not bounded by this study: no {' or '.join(sides)} value is "
+                         "excluded")  # fmt: skip
+        bounded = sorted({n for names in p.at_bound for n in names})
+        if bounded:
+            notes.append(f"{p.name}: its interval depends on the bound of {', '.join(bounded)}")
+    return notes

@@ -24,18 +24,18 @@ from cell.lab.fit.score_test import holm
 from cell.lab.strength.estimate import MODEL_ERROR
 from cell.study.data import Trial
 
-#: Precision with which what trials have in common is held, in fit coordinates (of order 1).
+#: Precision with which the common parameters are held, in fit coordinates (of order 1).
 HELD = 1e10
-#: Fits to one trial; what a pass gains below this share is far below what a trial is wrong by.
+#: Fits to one trial; a smaller gain per iteration is far below the error of a trial.
 ALONE = Options(tolerance=0.1, max_iterations=20, least_gain=1e-3, updates=3)
 
 
 @dataclass(frozen=True, eq=False)
 class _Quantity:
-    """What trials are compared in.
+    """A parameter in which trials are compared.
 
-    along  (p,) by which fit coordinates change as it grows by 1
-    error  of converged simulations of the same cable, in it
+    along  (p,) change of the fit coordinates per unit of it
+    error  its difference between converged simulations of the same cable
     """
 
     name: str
@@ -54,13 +54,13 @@ class _Quantity:
 
 
 @dataclass(frozen=True, eq=False)
-class _Alone:
-    """What a trial alone asks for, were all that trials have in common known exactly.
+class _TrialEstimate:
+    """Estimate of the quantities from one trial, given the common parameters.
 
     values       (quantities,)
     covariance   (quantities, quantities) of them
-    by_common    (quantities, common) by which they change with what trials have in common
-    inflation    by which what it leaves widens variances
+    by_common    (quantities, common) their derivatives with respect to the common parameters
+    inflation    of the variances by the trial's excess over noise
     """
 
     values: FloatArray
@@ -74,37 +74,37 @@ def agreement(
 ) -> tuple[Agreement, ...]:
     """Estimates per trial of the cable's stiffness and damping, and of the fit's effects.
 
-    The trials are of one cable: its exponent, and its EI(s) but for the level, are those of all
-    trials together.  Level, viscosity and effects are each trial's own.  What a trial leaves beyond
-    noise, with its correlation, widens its intervals.  Nothing of a study of one trial.
+    The trials are of one cable: its exponent, and the shape of its EI(s), are common to all trials.
+    Level of EI, viscosity and effects are estimated per trial.  The excess of a trial's residual
+    over noise, with its correlation, widens its intervals.  Empty for a study of one trial.
     """
     trials = prepared.study.trials
     if len(trials) < 2:
         return ()
     joint = of_all_trials(prepared, fit)
-    whole = fit if joint is None else joint.fit
-    quantities = _quantities(whole)
-    common = _common(whole.space)
+    joint_fit = fit if joint is None else joint.fit
+    quantities = _quantities(joint_fit)
+    common = _common(joint_fit.space)
     done, on_one_core = itertools.count(1), prepared.on_one_core()
 
-    def one(number: int) -> _Alone | None:
-        return _alone(on_one_core, whole, trials[number], quantities, common)
+    def fit_one(number: int) -> _TrialEstimate | None:
+        return _trial_estimate(on_one_core, joint_fit, trials[number], quantities, common)
 
-    def asked(number: int, _: _Alone | None) -> None:
+    def report(number: int, _: _TrialEstimate | None) -> None:
         progress(f"asked {trials[number].name} alone", next(done), len(trials))
 
     progress("asking each trial alone", 0, len(trials))
-    with side_by_side(prepared.work, [one], (), len(trials)) as pool:
-        alone = pool.map(one, range(len(trials)), lambda _: None, asked)
+    with side_by_side(prepared.work, [fit_one], (), len(trials)) as pool:
+        alone = pool.map(fit_one, range(len(trials)), lambda _: None, report)
     inflation = float(np.mean([a.inflation for a in alone if a is not None] or [1.0]))
-    uncertain = inflation * common.T @ whole.covariance @ common
-    rows = [_said(i, quantities, alone, trials, uncertain) for i in range(len(quantities))]
+    uncertain = inflation * common.T @ joint_fit.covariance @ common
+    rows = [_compared(i, quantities, alone, trials, uncertain) for i in range(len(quantities))]
     adjusted = holm([p for *_, p in rows])
     return tuple(
         Agreement(
             parameter=q.name,
             unit=q.unit,
-            value=q.natural(q.of(whole.q)),
+            value=q.natural(q.of(joint_fit.q)),
             spread=spread,
             p_value=p_value,
             agrees=p_value >= SIGNIFICANCE,
@@ -115,23 +115,23 @@ def agreement(
 
 
 def _quantities(fit: Fit) -> list[_Quantity]:
-    """The geometric mean of EI along the cable, the viscosity, and what of the effects is free."""
+    """The geometric mean of EI along the cable, the viscosity, and the effects' free parameters."""
     space = fit.space
     unit = np.eye(len(space.names))
     level = unit[: space.knots].sum(axis=0)
-    found = [_Quantity("mean_rigidity", space.units[0], level, True, MODEL_ERROR)]
-    known = {f"{e.name}.{p.name}" for e in space.effects for p in e.parameters if not p.fitted}
+    result = [_Quantity("mean_rigidity", space.units[0], level, True, MODEL_ERROR)]
+    fixed = {f"{e.name}.{p.name}" for e in space.effects for p in e.parameters if not p.fitted}
     for i in range(space.knots, len(space.names)):
-        if space.names[i] in ("exponent", *known) or space.low[i] == space.high[i]:
+        if space.names[i] in ("exponent", *fixed) or space.low[i] == space.high[i]:
             continue
         logarithmic = bool(space.logarithmic[i])
         error = MODEL_ERROR * (1.0 if logarithmic else abs(float(fit.q[i])))
-        found.append(_Quantity(space.names[i], space.units[i], unit[i], logarithmic, error))
-    return found
+        result.append(_Quantity(space.names[i], space.units[i], unit[i], logarithmic, error))
+    return result
 
 
 def _common(space: ParameterSpace) -> FloatArray:
-    """(p, k) orthonormal directions of what trials have in common: EI's shape, and the exponent."""
+    """(p, k) orthonormal directions of the common parameters: EI's shape, and the exponent."""
     k = space.knots
     along = np.zeros((len(space.names), k))
     along[:k, : k - 1] = np.linalg.svd(np.ones((1, k)))[2][1:].T
@@ -139,80 +139,80 @@ def _common(space: ParameterSpace) -> FloatArray:
     return along
 
 
-def _alone(
+def _trial_estimate(
     prepared: PreparedStudy,
-    whole: Fit,
+    joint: Fit,
     trial: Trial,
     quantities: Sequence[_Quantity],
     common: FloatArray,
-) -> _Alone | None:
-    """What a trial alone says of the quantities; None if it cannot be simulated alone."""
-    space, p = whole.space, len(whole.q)
+) -> _TrialEstimate | None:
+    """Estimate of the quantities from one trial; None if it cannot be simulated alone."""
+    space, p = joint.space, len(joint.q)
     own = np.stack([q.along for q in quantities], axis=1)
     free = own @ np.linalg.inv(own.T @ own)
     prior = own.T @ space.precision @ own
-    held = (HELD * common) @ common.T
-    of_one = replace(
+    common_precision = (HELD * common) @ common.T
+    trial_space = replace(
         space,
-        mean=whole.q + own @ (free.T @ (space.mean - whole.q)),
-        precision=held + free @ prior @ free.T,
+        mean=joint.q + own @ (free.T @ (space.mean - joint.q)),
+        precision=common_precision + free @ prior @ free.T,
     )
     try:
         fit = fit_model(
-            prepared, of_one, whole.q, whole.initial_states, trials=[trial], options=ALONE
+            prepared, trial_space, joint.q, joint.initial_states, trials=[trial], options=ALONE
         )
     except UNSIMULATED:
         return None
     whitener = prepared.whiteners[trial.name]
-    slopes = fit.solution.jacobian
-    if slopes.shape[1] > p:  # less what its unknown initial state can imitate
-        initial_states = np.vstack([slopes[:, p:], np.diag(1.0 / fit.initial_state_std)])
-        padded = np.vstack([slopes[:, :p], np.zeros((len(fit.initial_state_std), p))])
+    jacobian = fit.solution.jacobian
+    if jacobian.shape[1] > p:  # project off the unknown initial state
+        initial_states = np.vstack([jacobian[:, p:], np.diag(1.0 / fit.initial_state_std)])
+        padded = np.vstack([jacobian[:, :p], np.zeros((len(fit.initial_state_std), p))])
         basis = np.linalg.qr(initial_states)[0]
-        slopes = padded - basis @ (basis.T @ padded)
+        jacobian = padded - basis @ (basis.T @ padded)
     inflation = variance_inflation(fit.solution.residual, [whitener], len(quantities))
-    slopes = slopes[:, :p] / np.sqrt(inflation)
-    covariance = np.linalg.pinv((slopes @ own).T @ (slopes @ own) + prior, hermitian=True)
-    by_common = -covariance @ (slopes @ own).T @ (slopes @ common)
+    jacobian = jacobian[:, :p] / np.sqrt(inflation)
+    covariance = np.linalg.pinv((jacobian @ own).T @ (jacobian @ own) + prior, hermitian=True)
+    by_common = -covariance @ (jacobian @ own).T @ (jacobian @ common)
     values = np.array([q.of(fit.q) for q in quantities])
-    return _Alone(values, np.asarray(covariance), np.asarray(by_common), inflation)
+    return _TrialEstimate(values, np.asarray(covariance), np.asarray(by_common), inflation)
 
 
-def _said(
+def _compared(
     which: int,
     quantities: Sequence[_Quantity],
-    alone: Sequence[_Alone | None],
+    alone: Sequence[_TrialEstimate | None],
     trials: Sequence[Trial],
-    uncertain: FloatArray,
+    common_covariance: FloatArray,
 ) -> tuple[tuple[TrialValue, ...], float, float]:
-    """What every trial says of a quantity; its spread between trials; p of so much if they agree.
+    """Values of a quantity per trial, their spread between trials, and the p-value of that spread.
 
-    uncertain  (common, common) covariance of what trials have in common: wrong, it moves all
+    common_covariance  (common, common) of the common parameters: their error shifts all trials
     source     Cochran 1954, Biometrics 10, 101, with correlated values; spread: DerSimonian and
                Laird 1986, Control. Clin. Trials 7, 177
     """
     quantity = quantities[which]
     reach = float(normal_quantile(0.975))
-    found, shown = [], []
-    for trial, one in zip(trials, alone, strict=True):
-        if one is None or not np.isfinite(one.covariance[which, which]):
-            found.append(TrialValue(trial.name, None, None, None))
+    result, estimates = [], []
+    for trial, trial_estimate in zip(trials, alone, strict=True):
+        if trial_estimate is None or not np.isfinite(trial_estimate.covariance[which, which]):
+            result.append(TrialValue(trial.name, None, None, None))
             continue
-        value = float(one.values[which])
-        std = float(np.sqrt(one.covariance[which, which] + quantity.error**2))
+        value = float(trial_estimate.values[which])
+        std = float(np.sqrt(trial_estimate.covariance[which, which] + quantity.error**2))
         ends = (value, value - reach * std, value + reach * std)
-        found.append(TrialValue(trial.name, *map(quantity.natural, ends)))
-        shown.append((value, std, one.by_common[which]))
-    if len(shown) < 2:
-        return tuple(found), 0.0, 1.0
-    x, own = np.array([s[0] for s in shown]), np.diag([s[1] ** 2 for s in shown])
-    by_common = np.stack([s[2] for s in shown])
-    weights = np.linalg.inv(own + by_common @ uncertain @ by_common.T)
+        result.append(TrialValue(trial.name, *map(quantity.natural, ends)))
+        estimates.append((value, std, trial_estimate.by_common[which]))
+    if len(estimates) < 2:
+        return tuple(result), 0.0, 1.0
+    x, variances = np.array([s[0] for s in estimates]), np.diag([s[1] ** 2 for s in estimates])
+    by_common = np.stack([s[2] for s in estimates])
+    weights = np.linalg.inv(variances + by_common @ common_covariance @ by_common.T)
     ones = np.ones(len(x))
     total = float(ones @ weights @ ones)
-    middle = float(ones @ weights @ x) / total
-    scatter, dof = float((x - middle) @ weights @ (x - middle)), len(x) - 1
+    mean = float(ones @ weights @ x) / total
+    scatter, dof = float((x - mean) @ weights @ (x - mean)), len(x) - 1
     per_variance = float(np.trace(weights)) - float(ones @ weights @ weights @ ones) / total
     spread = float(np.sqrt(max(0.0, scatter - dof) / per_variance))
-    natural = spread * (quantity.natural(middle) if quantity.logarithmic else 1.0)
-    return tuple(found), natural, float(chi2_sf(dof, scatter))
+    natural = spread * (quantity.natural(mean) if quantity.logarithmic else 1.0)
+    return tuple(result), natural, float(chi2_sf(dof, scatter))

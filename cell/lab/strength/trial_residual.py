@@ -31,7 +31,7 @@ PHASES = ("still", "moving", "early swing", "late swing")
 
 @dataclass(frozen=True)
 class ResidualProfile:
-    """rms residual over groups: `centre`, `rms_m` (groups,); nan where nothing was seen."""
+    """rms residual over groups: `centre`, `rms_m` (groups,); nan where nothing was observed."""
 
     centre: FloatArray
     rms_m: FloatArray
@@ -75,8 +75,8 @@ def trial_residual(
 ) -> TrialResidual:
     """Residual statistics of a trial.
 
-    predicted_m  (times, markers, 2), m; residual likewise, nan where not seen
-    white        (times, markers, 2) whitened residual, nan where not seen
+    predicted_m  (times, markers, 2), m; residual likewise, nan where not observed
+    white        (times, markers, 2) whitened residual, nan where not observed
     """
     t_s = trial.markers.t_s
     names = phase_of(trial)
@@ -96,16 +96,16 @@ def trial_residual(
 
 def unsimulated_trial(trial: Trial, arc_length_m: FloatArray, noise: Noise) -> TrialResidual:
     """The `TrialResidual` of a trial that cannot be simulated: its error is infinite."""
-    nothing = np.full((len(trial.markers.t_s), len(arc_length_m), 2), np.nan)
-    found = trial_residual(trial, nothing, nothing, nothing, arc_length_m, noise)
-    return replace(found, rms_m=float("inf"), correlations=())
+    missing = np.full((len(trial.markers.t_s), len(arc_length_m), 2), np.nan)
+    residual = trial_residual(trial, missing, missing, missing, arc_length_m, noise)
+    return replace(residual, rms_m=float("inf"), correlations=())
 
 
 def displacement(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     """(…, 2) measured minus predicted; 0 in a single coordinate that was not measured."""
-    away = measured - predicted
-    lost = np.isnan(away)
-    return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, away)
+    error = measured - predicted
+    lost = np.isnan(error)
+    return np.where(lost & ~lost.all(axis=-1, keepdims=True), 0.0, error)
 
 
 def distance(measured: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -159,12 +159,12 @@ def correlations(
         "|v|v of the tip": np.abs(velocity) * velocity,
         "curvature rate": np.gradient(chord - clamp_angle, t_s),
     }
-    # of a marker of which one coordinate is seen, as much as that shows
-    seen = np.isfinite(white[:, 0])
-    error = np.sum(np.where(seen, white[:, 0], 0.0) * normal, axis=1)
-    error = np.where(seen.any(axis=1), error, np.nan)
-    found = [Correlation(name, *correlation(error, values)) for name, values in signals.items()]
-    return tuple(sorted(found, key=lambda f: -abs(f.correlation)))
+    # a marker with one observed coordinate contributes that coordinate
+    observed = np.isfinite(white[:, 0])
+    error = np.sum(np.where(observed, white[:, 0], 0.0) * normal, axis=1)
+    error = np.where(observed.any(axis=1), error, np.nan)
+    result = [Correlation(name, *correlation(error, values)) for name, values in signals.items()]
+    return tuple(sorted(result, key=lambda f: -abs(f.correlation)))
 
 
 def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
@@ -177,9 +177,9 @@ def across_tip(trial: Trial, predicted_m: FloatArray) -> FloatArray:
 
 
 def largest(values: FloatArray) -> float:
-    """The 99th percentile of what is finite; 0 if nothing is."""
-    some = values[np.isfinite(values)]
-    return float(np.percentile(some, 99)) if some.size else 0.0
+    """The 99th percentile of the finite values; 0 if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.percentile(finite, 99)) if finite.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,7 @@ class WrenchResidual:
 
     @property
     def beyond_noise(self) -> FloatArray:
-        """(3,) what of the error is not noise, its systematic part, by mean squares."""
+        """(3,) systematic part of the error: root of its mean square less the noise's."""
         return np.asarray(np.sqrt(np.maximum(self.rms**2 - self.noise**2, 0.0)))
 
     def to_json(self) -> dict[str, Any]:
@@ -223,20 +223,20 @@ def wrench_residual(
 ) -> WrenchResidual | None:
     """Measured wrench and that of a model's points (T, all points, 2); None if not measured.
 
-    white  (T, all points, 2) whitened residual, nan where not seen
+    white  (T, all points, 2) whitened residual, nan where not observed
     """
     gauges = prepared.gauges
     if gauges is None or not np.isfinite(trial.markers.xy_m[:, gauges.markers :]).any():
         return None
     predicted = gauges.of_wrench(points)
     error = gauges.of_wrench(prepared.error_m(trial, points))
-    seen = np.isfinite(error).any(axis=1)
+    observed = np.isfinite(error).any(axis=1)
     series = white[:, gauges.markers :].reshape(len(white), -1)[:, : len(COLUMNS)]
     return WrenchResidual(
         trial.name,
-        trial.markers.t_s[seen],
-        (predicted + error)[seen],
-        predicted[seen],
+        trial.markers.t_s[observed],
+        (predicted + error)[observed],
+        predicted[observed],
         np.array([gauges.force.noise.std_m] * 2 + [gauges.moment.noise.std_m]),
         np.array([rms(column) for column in error.T]),
         np.array([ljung_box(column[:, None]) for column in series.T]),

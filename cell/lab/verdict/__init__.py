@@ -1,1 +1,1 @@
-"""What may be claimed of a study: evidence, checks, ties, doubts, conclusion."""
+"""The verdict on a study: evidence, checks, ties, doubts, conclusion."""

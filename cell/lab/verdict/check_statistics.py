@@ -27,8 +27,8 @@ from cell.lab.verdict.smooth_part import (
     AllTrialsResidual,
     SmoothPart,
     all_trials_residual,
-    noise_was_seen,
-    of_a_finer_model,
+    noise_is_from_rest,
+    without_systematic_error,
 )
 
 
@@ -37,7 +37,7 @@ def within_stated(evidence: Evidence) -> Reading | None:
     prepared = evidence.prepared
     if not prepared.noise_is_stated:
         return None
-    return Reading(chance_of_stated(prepared, evidence.final, evidence.rules.most_over_noise))
+    return Reading(p_value_of_stated(prepared, evidence.final, evidence.rules.most_over_noise))
 
 
 def fitted_ratio(evidence: Evidence) -> Reading | None:
@@ -53,7 +53,7 @@ def fitted_ratio(evidence: Evidence) -> Reading | None:
 
 def heldout_smooth(evidence: Evidence) -> Reading | None:
     """p-value of the slow part of the error on the held-out trials."""
-    return _p_value_of_part(evidence, of_a_finer_model)
+    return _p_value_of_part(evidence, without_systematic_error)
 
 
 def parameter_constancy(evidence: Evidence) -> Reading | None:
@@ -66,15 +66,15 @@ def wider_law(evidence: Evidence) -> Reading | None:
     before, rules = evidence.smooth_before, evidence.rules
     if before is None:
         return None
-    chances = {}
+    p_values = {}
     for effect in evidence.final.effects:
-        left = wider_law_of(evidence.prepared, evidence.final.fit, effect)
-        if left is not None:
-            # a right law, simulated by another converged simulator, leaves no more than this
-            negligible = left.excess_of_all <= MODEL_ERROR**2 * before.excess_of_all
-            chances[effect.name] = 1.0 if negligible else left.p_value
-    broken = tuple(name for name, p in chances.items() if p < rules.residual_significance)
-    return Reading(min(chances.values()), broken) if chances else None
+        part = wider_law_of(evidence.prepared, evidence.final.fit, effect)
+        if part is not None:
+            # a correct law in another converged simulator leaves at most this
+            negligible = part.excess_of_all <= MODEL_ERROR**2 * before.excess_of_all
+            p_values[effect.name] = 1.0 if negligible else part.p_value
+    rejected = tuple(name for name, p in p_values.items() if p < rules.residual_significance)
+    return Reading(min(p_values.values()), rejected) if p_values else None
 
 
 def residual_level(evidence: Evidence) -> Reading | None:
@@ -120,9 +120,9 @@ def least_visible(evidence: Evidence) -> Reading | None:
     """Smallest held-out ln likelihood ratio of an added effect; the effects below the limit."""
     if evidence.final.heldout is None or not evidence.added:
         return None
-    seen = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
-    unseen = tuple(name for name, ln in seen.items() if ln < evidence.rules.heldout_gain)
-    return Reading(min(seen.values()), unseen)
+    log_lr = {e.name: evidence.fits.heldout_log_lr(evidence.final, e) for e in evidence.added}
+    below = tuple(name for name, ln in log_lr.items() if ln < evidence.rules.heldout_gain)
+    return Reading(min(log_lr.values()), below)
 
 
 def most_tied(evidence: Evidence) -> Reading | None:
@@ -138,22 +138,22 @@ def detectable_at_half_size(evidence: Evidence) -> Reading | None:
     if not evidence.added:
         return None
     without = {e.name: evidence.fits.fit_reduced(evidence.final, e).fit for e in evidence.added}
-    chances = {name: _chance_of_half(evidence, fit) for name, fit in without.items()}
-    weak = tuple(name for name, p in chances.items() if p >= evidence.rules.significance)
-    return Reading(max(chances.values()), weak)
+    p_values = {name: _p_value_at_half_size(evidence, fit) for name, fit in without.items()}
+    weak = tuple(name for name, p in p_values.items() if p >= evidence.rules.significance)
+    return Reading(max(p_values.values()), weak)
 
 
-def _chance_of_half(evidence: Evidence, without: Fit) -> float:
-    """p-value by the plainest look, 0 where there is none; further ones only if needed."""
+def _p_value_at_half_size(evidence: Evidence, without: Fit) -> float:
+    """p-value of half the effect by the first significant test, else the least; 0 without test."""
     prepared, least = evidence.prepared, 1.0
-    looks: tuple[Callable[[], SmoothPart | None], ...] = (
-        lambda: of_a_finer_model(prepared, without),
+    tests: tuple[Callable[[], SmoothPart | None], ...] = (
+        lambda: without_systematic_error(prepared, without),
         lambda: parameter_constancy_of(prepared, without),
         lambda: parameter_constancy_of(prepared, without, evidence.final.fit),
     )
-    for look in looks:
-        part = look()
-        least = min(least, 0.0 if part is None else part.chance_of(0.5 * part.excess))
+    for test in tests:
+        part = test()
+        least = min(least, 0.0 if part is None else part.p_value_of(0.5 * part.excess))
         if least < evidence.rules.significance:
             break
     return least
@@ -170,15 +170,15 @@ def possibly_omitted(evidence: Evidence) -> Reading | None:
         return None
     rivals = {name for names in evidence.tied.values() for name in names}
     offered = [e for n, e in fits.library.items() if n not in {*final.names, *rivals}]
-    asked = of_effects(evidence.prepared, final.fit, offered)
-    adjusted = holm([p for _, p in asked.values()])
+    tests = score_tests(evidence.prepared, final.fit, offered)
+    adjusted = holm([p for _, p in tests.values()])
     fall = evidence.base.chi2 - final.chi2
-    chances = {
+    p_values = {
         name: p if part.chi2 - part.count > rules.negligible_share * fall else 1.0
-        for (name, (part, _)), p in zip(asked.items(), adjusted, strict=True)
+        for (name, (part, _)), p in zip(tests.items(), adjusted, strict=True)
     }
-    plain = sorted((p, name) for name, p in chances.items() if p < rules.significance)
-    return Reading(min(chances.values(), default=1.0), tuple(name for _, name in plain))
+    significant = sorted((p, name) for name, p in p_values.items() if p < rules.significance)
+    return Reading(min(p_values.values(), default=1.0), tuple(name for _, name in significant))
 
 
 def noise_range(evidence: Evidence) -> Reading | None:
@@ -192,11 +192,11 @@ def _p_value_of_part(
 ) -> Reading | None:
     """p-value of a part of the error, 1 where it is negligible; None if the noise was not measured.
 
-    A tenth of it counts where more than a tenth of what the baseline leaves beyond noise is left.
+    The limit is stricter where the part exceeds a larger share of the baseline's excess over noise.
     """
     before, rules = evidence.smooth_before, evidence.rules
-    left = None if before is None else part_of(evidence.prepared, evidence.final.fit)
-    if before is None or left is None:
+    part = None if before is None else part_of(evidence.prepared, evidence.final.fit)
+    if before is None or part is None:
         return None
     shares: tuple[tuple[float, float], ...] = (
         (rules.slight_share, rules.residual_significance),
@@ -206,56 +206,55 @@ def _p_value_of_part(
         shares = ((0.0, rules.residual_significance),)
     least = 1.0
     for share, significance in shares:
-        too_much = left.excess_of_all > share * before.excess_of_all
-        if too_much or left.excess_of_all > rules.most_over_noise**2 - 1.0:
-            least = min(least, left.p_value * rules.residual_significance / significance)
+        too_much = part.excess_of_all > share * before.excess_of_all
+        if too_much or part.excess_of_all > rules.most_over_noise**2 - 1.0:
+            least = min(least, part.p_value * rules.residual_significance / significance)
     return Reading(least)
 
 
 def _p_value(chi2: float, count: int, dof: float) -> float:
-    """Of a χ² of `count` values whose unit is known from `dof` others."""
+    """p-value of the χ² of `count` values; their unit is estimated from `dof` other values."""
     if np.isfinite(dof):
         return float(f_sf(count, dof, chi2 / count))
     return float(chi2_sf(count, chi2))
 
 
-def chance_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
+def p_value_of_stated(prepared: PreparedStudy, final: FittedModel, negligible: float) -> float:
     """p-value of the residual under the noise that the study states.
 
-    Fitted, held out (allowing for what the fit leaves uncertain there), and fitted to all trials
-    together: a right model can do that.  A mean square of them is worth as many values as their
-    correlation leaves independent, along the frames ((1 − ρ²) / (1 + ρ²), of a mean square) and
-    between the markers.
+    The smallest of three tests: on the fitted trials, on the held-out trials (with the variance of
+    the prediction), and on all trials fitted jointly.  The count of independent values allows for
+    correlation along the frames, (1 − ρ²) / (1 + ρ²) for a mean square, and between the markers.
 
-    negligible  error over the stated one up to which the p-value is 1: a model errs by as much
+    negligible  ratio of error to stated error up to which the p-value is 1 (the model's own error)
     """
     noise_model = prepared.noise_model
-    square_m2, again = noise_model.noise.std_m**2, noise_model.noise.ar1**2
-    share = (1.0 - again) / (1.0 + again) / noise_model.correlated_channels
-    left = [(errors_m(prepared, final.fit), 0.0)]
+    square_m2, ar1_square = noise_model.noise.std_m**2, noise_model.noise.ar1**2
+    share = (1.0 - ar1_square) / (1.0 + ar1_square) / noise_model.correlated_channels
+    samples = [(errors_m(prepared, final.fit), 0.0)]
     if final.heldout is not None:
         if not np.isfinite(final.heldout.rms_m):
             return 0.0
         errors = residuals_m(prepared, final)
-        held = [errors[t.name] for t in prepared.study.role("validate")]
-        left.append((held, _uncertain_m2(prepared, final.fit)))
-        whole = of_all_trials(prepared, final.fit)
-        if whole is None:
+        heldout_errors = [errors[t.name] for t in prepared.study.role("validate")]
+        samples.append((heldout_errors, _uncertain_m2(prepared, final.fit)))
+        refit = of_all_trials(prepared, final.fit)
+        if refit is None:
             return 0.0
-        left.append((errors_m(whole.prepared, whole.fit), 0.0))
+        samples.append((errors_m(refit.prepared, refit.fit), 0.0))
     least = 1.0
-    for some, uncertain_m2 in left:
-        seen = np.concatenate([e[np.isfinite(e)] for e in some])
-        ratio = float(np.mean(seen**2)) / (square_m2 + uncertain_m2)
-        independent = share * len(seen)
-        chance = float(chi2_sf(independent, independent * ratio))
+    for sample, uncertain_m2 in samples:
+        values = np.concatenate([e[np.isfinite(e)] for e in sample])
+        ratio = float(np.mean(values**2)) / (square_m2 + uncertain_m2)
+        independent = share * len(values)
+        p_value = float(chi2_sf(independent, independent * ratio))
         if ratio > negligible**2:
-            least = min(least, chance)
+            least = min(least, p_value)
     return least
 
 
 def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
-    """Mean square of what a fit leaves uncertain of the held-out trials' markers; 0 if unknown."""
+    """Mean variance of the predicted markers of the held-out trials, m²; 0 if unknown."""
     rows = heldout_rows(prepared, fit)
     if not np.all(np.isfinite(rows.spread)):
         return 0.0
@@ -267,8 +266,8 @@ def _uncertain_m2(prepared: PreparedStudy, fit: Fit) -> float:
     return square / max(count, 1)
 
 
-#: Nothing is asked for in directions of an effect that change less than by this share.
-LEAST_ASKED = 1e-6
+#: Directions in which an effect changes less than this share of its largest are not tested.
+LEAST_TESTED = 1e-6
 
 
 @once_per_study
@@ -277,56 +276,56 @@ def parameter_constancy_of(
 ) -> SmoothPart | None:
     """Test whether the model's parameters are the same in all trials.
 
-    A right model is the same in every trial.  A wrong one must bend for each motion, and does so
-    in these few directions: far from noise where all that is smooth still looks like it.
+    A right model has the same parameters in every trial; a wrong one needs other values for each
+    motion.  These few directions detect that where the complete smooth part still looks like noise.
 
-    parameters  the model whose parameters are asked, if it is another: one with an effect more
+    parameters  the model whose parameters are tested, if it differs: one with a further effect
     """
-    if not noise_was_seen(prepared):
+    if not noise_is_from_rest(prepared):
         return None
-    left, asked = (
+    residual, tested = (
         all_trials_residual(prepared, fit),
         all_trials_residual(prepared, parameters or fit),
     )
-    if left is None or asked is None:
+    if residual is None or tested is None:
         return None
-    solution = asked.whole.fit.solution
+    solution = tested.all_trials.fit.solution
     free = solution.free
-    slopes = solution.jacobian[:, free]
+    jacobian = solution.jacobian[:, free]
     parts = directions_of_trials(
-        slopes, solution.covariance[np.ix_(free, free)], left.whole.systematic_error.ends
+        jacobian, solution.covariance[np.ix_(free, free)], residual.all_trials.systematic_error.ends
     )
-    bases = dict(zip(left.whiteners, parts, strict=True))
-    return left.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
+    bases = dict(zip(residual.whiteners, parts, strict=True))
+    return residual.part(lambda whitener, rows: np.asarray(bases[whitener].T @ rows))
 
 
 def directions_of_trials(
-    slopes: FloatArray, covariance: FloatArray, ends: NDArray[np.intp]
+    jacobian: FloatArray, covariance: FloatArray, ends: NDArray[np.intp]
 ) -> list[FloatArray]:
     """Per trial (rows, directions): orthonormal directions of a change of that trial's parameters.
 
-    slopes      (rows, free) of all trials, which end at `ends`
-    covariance  (free, free) of what all trials and the prior leave open
+    jacobian    (rows, free) of all trials, which end at `ends`
+    covariance  (free, free) of the parameters given all trials and the prior
     """
     least = float(np.sqrt(LEAST_KNOWN))
-    parts = np.split(slopes @ parameters_root(covariance), ends[:-1])
+    parts = np.split(jacobian @ parameters_root(covariance), ends[:-1])
     return [orthonormal(part, least) for part in parts]
 
 
 def wider_law_of(prepared: PreparedStudy, fit: Fit, effect: type[Effect]) -> SmoothPart | None:
     """χ² that an effect's more general law would explain in addition; None if it has none.
 
-    If the effect is present, its own law explains everything.  If it stands in for another effect,
-    outside the library, part of that remains, alike in every trial and in these few directions.
+    If the effect is present, its own law explains everything.  If it replaces an effect outside
+    the library, part of that remains: the same in every trial, and in these few directions.
     """
-    left = None if effect.wider is None else all_trials_residual(prepared, fit)
-    if effect.wider is None or left is None:
+    residual = None if effect.wider is None else all_trials_residual(prepared, fit)
+    if effect.wider is None or residual is None:
         return None
-    directions = _directions(left, left.whole.sensitivities([effect.wider])[0].rows[0])
-    return left.judged(directions @ left.every.T) if len(directions) else None
+    directions = _directions(residual, residual.all_trials.sensitivities([effect.wider])[0].rows[0])
+    return residual.test(directions @ residual.components.T) if len(directions) else None
 
 
-def of_effects(
+def score_tests(
     prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
 ) -> dict[str, tuple[SmoothPart, float]]:
     """χ² that each effect would explain beyond the model, for its most significant shape.
@@ -334,19 +333,19 @@ def of_effects(
     returns  by name, with its p-value corrected for the number of shapes; without effects that the
              parameters imitate fully, and empty where a trial cannot be simulated
     """
-    left = all_trials_residual(prepared, fit)
-    found: dict[str, tuple[SmoothPart, float]] = {}
-    for slopes in [] if left is None else left.whole.sensitivities(effects):
-        assert left is not None
-        ways = [d for rows in slopes.rows if len(d := _directions(left, rows))]
-        parts = [left.judged(directions @ left.every.T) for directions in ways]
+    residual = all_trials_residual(prepared, fit)
+    tests: dict[str, tuple[SmoothPart, float]] = {}
+    for sensitivity in [] if residual is None else residual.all_trials.sensitivities(effects):
+        assert residual is not None
+        shapes = [d for rows in sensitivity.rows if len(d := _directions(residual, rows))]
+        parts = [residual.test(directions @ residual.components.T) for directions in shapes]
         if parts:
             best = min(parts, key=lambda part: part.p_value)
-            found[slopes.effect.name] = best, min(1.0, len(parts) * best.p_value)
-    return found
+            tests[sensitivity.effect.name] = best, min(1.0, len(parts) * best.p_value)
+    return tests
 
 
-def _directions(left: AllTrialsResidual, rows: FloatArray) -> FloatArray:
-    """(directions, values) orthonormal, of what changes (n, values) do that nothing fitted does."""
-    least = LEAST_ASKED * float(np.linalg.norm(rows))
-    return orthonormal(left.whole.linear.remove(rows).T, least).T
+def _directions(residual: AllTrialsResidual, rows: FloatArray) -> FloatArray:
+    """(directions, values) orthonormal, of changes (n, values) orthogonal to all fitted ones."""
+    least = LEAST_TESTED * float(np.linalg.norm(rows))
+    return orthonormal(residual.all_trials.linear.remove(rows).T, least).T

@@ -1,6 +1,6 @@
 """The checks of a verdict, as one table: the question, the limit, and the effect of a failure.
 
-If a check of the first part fails, the model leaves more than noise: `unexplained`.  If a check of
+If a check of the first part fails, the residual is more than noise: `unexplained`.  If a check of
 the second part fails, nothing is claimed, and the check says why: `cannot_tell`.  The verdict is
 the worst of these (`worst_verdict` in `cell.lab.data.check`, which `learn` uses too).  Text, page,
 JSON and the reference in docs print these rows.
@@ -99,7 +99,7 @@ LEAVES_NOISE: tuple[Check[Evidence], ...] = (
 
 
 def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
-    """Whether the model leaves noise: the lab's questions, then a user's own."""
+    """Checks whether the residual is noise: the lab's own, then the user's."""
     yield from LEAVES_NOISE
     for own in evidence.rules.own:
         yield Check(
@@ -116,8 +116,8 @@ def _of_noise(evidence: Evidence) -> Iterator[Check[Evidence]]:
 
 
 def _own(evidence: Evidence, name: str) -> Reading | None:
-    found = evidence.own_p_values
-    return None if found is None else Reading(found[name])
+    p_values = evidence.own_p_values
+    return None if p_values is None else Reading(p_values[name])
 
 
 def explains(evidence: Evidence) -> bool:
@@ -126,14 +126,14 @@ def explains(evidence: Evidence) -> bool:
 
 
 def _prior_driven(evidence: Evidence) -> Reading | None:
-    """Number of effects that only an earlier cable's model asks for; which: `prior_driven_effects`.
+    """Number of effects needed only because of the prior, and their names; None without prior.
 
-    It is 0 if one does, and the cable agrees with that model.
+    It is 0 if there is only one, and the cable agrees with the prior.
     """
     if evidence.fits.prior_q is None or evidence.is_base:
         return None
-    asked = prior_driven_effects(evidence, explains)
-    return Reading(float(len(asked)), asked)
+    effects = prior_driven_effects(evidence, explains)
+    return Reading(float(len(effects)), effects)
 
 
 MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
@@ -228,15 +228,15 @@ CHECKS = (*LEAVES_NOISE, *MAY_BE_CLAIMED)
 def evaluate(evidence: Evidence) -> Iterator[CheckOutcome[Evidence]]:
     """Yield the results of the checks that the verdict needs, in order.
 
-    Where a model is far above the noise, nothing is asked after the first check that fails; what
-    may be claimed is asked only of a model that leaves noise.
+    Where a model is far above the noise, the first check that fails is the last one.  Checks of
+    what may be claimed are evaluated only if the residual is noise.
     """
     explained = True
     for check in _of_noise(evidence):
         if not explained and evidence.over_noise >= evidence.rules.most_over_noise:
             return
-        answer = check.evaluate(evidence)
-        explained &= answer.passed is not False
-        yield answer
+        outcome = check.evaluate(evidence)
+        explained &= outcome.passed is not False
+        yield outcome
     if explained:
         yield from (check.evaluate(evidence) for check in MAY_BE_CLAIMED)

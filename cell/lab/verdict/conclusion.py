@@ -31,7 +31,7 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
 from cell.lab.search.partial import PartialExplanation
 from cell.lab.search.residual_summary import peak, residual_summary
-from cell.lab.search.rivals import chance_of
+from cell.lab.search.rivals import step_p
 from cell.lab.search.screen import ScreenedEffect
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
@@ -41,7 +41,7 @@ from cell.study.independence import Independence
 
 _LOG = logging.getLogger(__name__)
 
-#: Errors of what was not fitted to the fit trials alone.
+#: Errors of a model that was not fitted to the fit trials alone.
 NOT_FITTED = Errors(float("nan"), float("nan"))
 
 
@@ -52,8 +52,8 @@ class Examination:
     fits      the models that were fitted
     path      the baseline, then with each effect added in the order of `diagnosis.missing`
     singles   the baseline with each effect that was worth a fit
-    accepted  with every effect that is significant and confirmed, even if they do not explain all
-    final     the model that explains most: with `diagnosis.missing` in, or else `diagnosis.partial`
+    accepted  the model with every significant and confirmed effect, even if it does not explain all
+    final     the model that explains most: with `diagnosis.missing`, or else `diagnosis.partial`
     final_prepared  the study as `final` was fitted to it
     partial   the same as `path` for `diagnosis.partial`
     """
@@ -83,7 +83,7 @@ def conclude(
     checks     their outcomes
     path       the baseline, then with each effect of that model; the baseline alone if it does not
                explain the study
-    partial    what comes nearest where the model does not explain the study
+    partial    the nearest explanation if the model does not explain the study
     all_tried  nothing that could change a claim was left out because the budget was spent
     """
     fits, base, tied = evidence.fits, evidence.base, evidence.tied
@@ -92,10 +92,10 @@ def conclude(
         verdict = "cannot_tell"
     _LOG.info("verdict: %s", verdict)
     nearest_of = partial or PartialExplanation(fits, search.singles, (base,))
-    joint, most = nearest_of.fits, nearest_of.path
-    final = evidence.final if partial is None else most[-1]
-    also = {e.name: tied_so_far(joint, most[-1], e) for e in joint.added(most[-1])}
-    rivals = {n for names in (*tied.values(), also, *also.values()) for n in names}
+    joint, steps = nearest_of.fits, nearest_of.path
+    final = evidence.final if partial is None else steps[-1]
+    ties_of = {e.name: tied_so_far(joint, steps[-1], e) for e in joint.added(steps[-1])}
+    rivals = {n for names in (*tied.values(), ties_of, *ties_of.values()) for n in names}
     diagnosis = Diagnosis(
         noise_m=fits.prepared.noise_model.noise.std_m,
         noise_is_stated=fits.prepared.study.noise_std_m is not None,
@@ -103,8 +103,8 @@ def conclude(
         verdict=verdict,
         missing=added_effects(fits, path, tied),
         ranking=ranked(fits, path[-1], search.singles, rivals),
-        left=remaining_error(joint, most[0], final),
-        partial=added_effects(joint, most, also),
+        left=remaining_error(joint, steps[0], final),
+        partial=added_effects(joint, steps, ties_of),
         nearest=() if partial is None else nearest(partial, sound(search.singles, base)),
         warnings=(
             *doubts(fits, joint, final),
@@ -116,7 +116,7 @@ def conclude(
         fit_errors=fits.work.fit_errors,
     )
     return Examination(
-        diagnosis, fits, tuple(path), search.singles, evidence.final, final, joint.prepared, most
+        diagnosis, fits, tuple(path), search.singles, evidence.final, final, joint.prepared, steps
     )
 
 
@@ -169,13 +169,13 @@ def added_effects(
     """The effects that the steps after the first one have added, with their evidence."""
     if len(steps) == 1:
         return ()
-    final, found = estimate(fits.prepared, steps[-1].fit, fits.library.values()), []
+    final, missing = estimate(fits.prepared, steps[-1].fit, fits.library.values()), []
     for small, large in itertools.pairwise(steps):
         effect, gain = added_effect(small, large), fits.gain(small, large)
         p_value = gain.p_value
         if error_over_noise(fits.prepared, large) > fits.rules.most_over_noise:
-            p_value = max(p_value, chance_of(fits, small, large))
-        found.append(
+            p_value = max(p_value, step_p(fits, small, large))
+        missing.append(
             MissingEffect(
                 effect=effect.name,
                 tied_with=tuple(tied.get(effect.name, ())),
@@ -186,7 +186,7 @@ def added_effects(
                 explained_share=fits.removed_share(steps[0], large),
             )
         )
-    return tuple(found)
+    return tuple(missing)
 
 
 def ranked(
@@ -208,7 +208,7 @@ def ranked(
             rows.append((name, screened.score.statistic, screened.score.p_value, -np.inf))
     adjusted = holm([row[2] for row in rows])
     at_end = {s.effect.name: s for s in fits.screened(final)}
-    left = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
+    at_end_p = dict(zip(at_end, holm([s.score.p_value for s in at_end.values()]), strict=True))
     excludes = not is_meaningless(fits, final)
     ranked = []
     order = sorted(zip(rows, adjusted, strict=True), key=lambda r: (-r[0][3], -r[0][1]))
@@ -216,7 +216,7 @@ def ranked(
         status: Status
         if name in final.names:
             status = "present"
-        elif name in rivals or left[name] < fits.rules.significance:
+        elif name in rivals or at_end_p[name] < fits.rules.significance:
             status = "inspect"
         else:
             excluded = excludes and _too_small(at_end[name])
@@ -226,28 +226,28 @@ def ranked(
 
 
 def _too_small(screened: ScreenedEffect) -> bool:
-    """Whether an effect of typical size would have been seen: every amplitude is well below it."""
+    """Whether every amplitude is well below the typical one, which would have been detected."""
     score = screened.score
     reach = np.abs(score.amplitude) + 1.96 * score.std
     sizes = [abs(p.starts[0] - p.default) for p in screened.effect.parameters if p.amplitude]
     return bool(np.all(reach < np.array(sizes)))
 
 
-def nearest(partial: PartialExplanation, tried: Sequence[FittedModel]) -> tuple[Nearest, ...]:
+def nearest(partial: PartialExplanation, fitted: Sequence[FittedModel]) -> tuple[Nearest, ...]:
     """The single effects with the smallest residual over all trials: its size and place.
 
-    tried  the same fitted to the fit trials alone: their errors are what a forecast would have
+    fitted  the same fitted to the fit trials alone: their errors are those of a forecast
     """
     fits, base = partial.fits, partial.path[0]
-    left_m = {c.names: residual_summary(fits.prepared, c).rms_m for c in partial.singles}
-    best = sorted(partial.singles, key=lambda c: left_m[c.names])
-    strict = {c.names: c for c in tried}
+    rms_m = {c.names: residual_summary(fits.prepared, c).rms_m for c in partial.singles}
+    best = sorted(partial.singles, key=lambda c: rms_m[c.names])
+    refitted = {c.names: c for c in fitted}
     return tuple(
         Nearest(
             effect=(effect := added_effect(base, candidate).name),
             explained_share=fits.removed_share(base, candidate),
-            left_rms_m=left_m[candidate.names],
-            errors=strict[candidate.names].errors if candidate.names in strict else NOT_FITTED,
+            left_rms_m=rms_m[candidate.names],
+            errors=refitted[candidate.names].errors if candidate.names in refitted else NOT_FITTED,
             peak=peak(fits.prepared, candidate),
             at_bound=_at_bound(candidate, effect),
         )

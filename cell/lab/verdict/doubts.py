@@ -9,7 +9,7 @@ import numpy as np
 from cell.cable.effects.base import after_number
 from cell.files.words import first_of
 from cell.lab.data.check import Reading
-from cell.lab.data.prepared import ERRS
+from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import Doubt
 from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
@@ -18,14 +18,14 @@ from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence
 
-#: Error over noise from which a fit's intervals rest on the model's own error.
+#: Ratio of error to noise above which the model's own error determines a fit's intervals.
 BEYOND_NOISE = 3.0
-#: A cable of which EI differs by more than this factor from place to place is none, if its model
-#: leaves that much; the prior's random walk gives it 7 standard deviations.
+#: A poorly fitting model whose EI varies by more than this factor along the cable is implausible;
+#: under the prior's random walk that is 7 standard deviations.
 UNLIKE_ANY = 20.0
 #: Two fits are different minima if EI differs by more than this factor anywhere.
 APART = 2.0
-#: Or if a parameter of an effect differs by more than so many standard deviations.
+#: Or if a parameter of an effect differs by more than this many standard deviations.
 APART_STD = 3.0
 #: Warnings of a fit whose parameters mean nothing; given it no effect is called absent.
 MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
@@ -40,11 +40,11 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
     """Warnings of a fit: hopeless, far beyond the noise, no minimum, at a bound, or diverging."""
     fit, noise_model = candidate.fit, fits.prepared.noise_model
     to_all = "" if fits.prepared.study.role("validate") else " to all trials"
-    found = []
+    warnings = []
     moved_m = marker_motion_m(fits.prepared)
     worst_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
     if is_hopeless(fits.prepared, fit):
-        found.append(
+        warnings.append(
             Doubt(
                 "hopeless",
                 f"the fit{to_all} misses {fit.rms_m * 1e3:.3g} mm of markers that move by "
@@ -53,16 +53,16 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
             )
         )
     elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * noise_model.noise.std_m:
-        found.append(
+        warnings.append(
             Doubt(
                 "beyond_noise",
                 f"the model misses {worst_m * 1e3:.3g} mm, {worst_m / noise_model.noise.std_m:.0f} "
                 "times the noise: it lacks an effect; `cell diagnose STUDY` finds out which",
             )
         )
-    found += _wrong_minimum(fits, candidate)
-    found += not_converged(fit)
-    found += [
+    warnings += _wrong_minimum(fits, candidate)
+    warnings += not_converged(fit)
+    warnings += [
         Doubt(
             "at_bound",
             f"{name} is at its bound, {value:.4g} {unit}: the value comes from the bound, not from "
@@ -71,7 +71,7 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
         for name, value, unit in at_bound(fit)
     ]
     if candidate.heldout is not None:
-        found += [
+        warnings += [
             Doubt(
                 "diverges",
                 f"the model cannot be simulated in trial {name}, which it was not fitted to",
@@ -79,22 +79,22 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
             for name, predicted in candidate.heldout.predicted_m.items()
             if not np.isfinite(predicted).all()
         ]
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
-    """Of a model that leaves far more than noise: EI of no cable, or another from another start."""
+    """Warnings of a model far above the noise: implausible EI, or two starts that disagree."""
     noise_m, fit = fits.prepared.noise_model.noise.std_m, candidate.fit
-    left_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
-    if not left_m > BEYOND_NOISE * noise_m:
+    error_m = max(fit.rms_m, candidate.heldout.rms_m if candidate.heldout else 0.0)
+    if not error_m > BEYOND_NOISE * noise_m:
         second = fits.second
-        as_good = second is not None and second.rms_m <= ERRS * fit.rms_m
+        as_good = second is not None and second.rms_m <= ERROR_RATIO * fit.rms_m
         return starts_disagree(fits) if as_good else []
-    found = []
+    warnings = []
     rigidity = fit.model.rigidity_n_m2
     differs = float(rigidity.max() / rigidity.min())
     if differs > UNLIKE_ANY:
-        found.append(
+        warnings.append(
             Doubt(
                 "implausible",
                 f"EI differs {differs:.0f}-fold along the cable and the model misses "
@@ -103,8 +103,8 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
                 "datasheet, how trials begin)",
             )
         )
-    found += starts_disagree(fits)
-    return found
+    warnings += starts_disagree(fits)
+    return warnings
 
 
 def not_converged(fit: Fit) -> list[Doubt]:
@@ -124,42 +124,42 @@ def not_converged(fit: Fit) -> list[Doubt]:
 
 def starts_disagree(fits: FitCache) -> list[Doubt]:
     """Warning of a baseline whose second start leads to another minimum, in EI or effects."""
-    base, other = fits.base.fit, fits.second_start()
-    if other is None:
+    base, second = fits.base.fit, fits.second_start()
+    if second is None:
         return []
-    apart = np.log(other.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
-    factor = float(np.exp(np.abs(apart).max()))
-    found = [f"EI up to {factor:.1f}-fold apart"] if factor >= APART else []
-    found += _effects_apart(base, other)
-    if not found:
+    log_ratio = np.log(second.model.rigidity_n_m2) - np.log(base.model.rigidity_n_m2)
+    factor = float(np.exp(np.abs(log_ratio).max()))
+    differences = [f"EI up to {factor:.1f}-fold apart"] if factor >= APART else []
+    differences += _effects_apart(base, second)
+    if not differences:
         return []
     return [
         Doubt(
             "starts_disagree",
             f"from two starts the fit ends in different places: one misses {base.rms_m * 1e3:.3g} "
-            f"mm, the other {other.rms_m * 1e3:.3g} mm, with {' and '.join(found)}; there may be a "
-            "better minimum",
+            f"mm, the other {second.rms_m * 1e3:.3g} mm, with {' and '.join(differences)}; there "
+            "may be a better minimum",
         )
     ]
 
 
-def _effects_apart(base: Fit, other: Fit) -> list[str]:
-    """Parameters of effects in which two fits differ by more than what is left of either allows."""
-    values, others = base.space.natural(base.q), other.space.natural(other.q)
-    found = []
+def _effects_apart(base: Fit, second: Fit) -> list[str]:
+    """Parameters of effects in which two fits differ by more than their uncertainties allow."""
+    values, second_values = base.space.natural(base.q), second.space.natural(second.q)
+    differences = []
     for i, name in enumerate(base.space.names):
         if "." not in name:
             continue
-        variance = sum(fit.widening * fit.covariance[i, i] for fit in (base, other))
-        if abs(other.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
+        variance = sum(fit.widening * fit.covariance[i, i] for fit in (base, second))
+        if abs(second.q[i] - base.q[i]) > APART_STD * np.sqrt(variance):
             unit = after_number(base.space.units[i])
-            found.append(f"{name} {values[i]:.3g} and {others[i]:.3g}{unit}")
-    return found
+            differences.append(f"{name} {values[i]:.3g} and {second_values[i]:.3g}{unit}")
+    return differences
 
 
-#: Effects that a warning names, at most.
-TOLD = 3
-#: Warnings that come of no check, by code: what was found, and what verdict it brings, if any.
+#: Maximum number of effects that a warning names.
+MOST = 3
+#: Warnings that are not from a check, by code: the finding, and the verdict it causes, if any.
 MEANINGS = {
     "hopeless": ("the error is more than half of the markers' motion", ""),
     "not_searched": ("the error is more than twice the markers' motion", "unexplained"),
@@ -190,14 +190,14 @@ def lacking_doubt(lacks: Sequence[str]) -> tuple[Doubt, ...]:
     )
 
 
-#: Of a diagnosis that did not search for effects.
+#: Warning of a diagnosis that did not search for effects.
 NO_MODEL = Doubt(
     "not_searched",
     "no effect was looked for: a model whose error is larger than the motion of the markers is "
     "not a model of this cable; correct the study first (the signs of y_m and angle_rad, "
     "gravity, the order of the markers, the datasheet, one clock for both files)",
 )
-#: Of a diagnosis that ended early: it has the results until then.
+#: Warning of a diagnosis that ended early: it has the results until then.
 UNSIMULATED_SEARCH = Doubt(
     "unsimulated",
     "the search ended at a model that cannot be simulated; the fits until then are shown, and "
@@ -212,33 +212,33 @@ def check_model(fits: FitCache) -> None:
         raise ValueError(f"study {fits.prepared.study.name}: {NO_MODEL.message}")
 
 
-def doubts(fits: FitCache, whole: FitCache, final: FittedModel) -> tuple[Doubt, ...]:
+def doubts(fits: FitCache, final_fits: FitCache, final: FittedModel) -> tuple[Doubt, ...]:
     """Warnings of a diagnosis: about its final model, and about omissions by its budget.
 
-    whole  what the final model was fitted with
+    final_fits  the fits that contain the final model
     """
-    found = fit_doubts(whole, final)
-    codes = {w.code for w in found}
-    if "beyond_noise" in codes and "starts_disagree" not in codes:  # `whole` has looked at no other
-        found += tuple(starts_disagree(fits))
-    if whole.added(final):
-        found += _of_estimate(whole, final, codes)
+    warnings = fit_doubts(final_fits, final)
+    codes = {w.code for w in warnings}
+    if "beyond_noise" in codes and "starts_disagree" not in codes:  # not tested yet
+        warnings += tuple(starts_disagree(fits))
+    if final_fits.added(final):
+        warnings += _of_estimate(final_fits, final, codes)
     if left_out := fits.work.left_out:
-        found += (ended_doubt(True, f"left out: {first_of(left_out, TOLD)}"),)
-    return tuple(w for w in found if w.code != "beyond_noise")
+        warnings += (ended_doubt(True, f"left out: {first_of(left_out, MOST)}"),)
+    return tuple(w for w in warnings if w.code != "beyond_noise")
 
 
 def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> tuple[Doubt, ...]:
-    """Warning of the fit to all trials that the intervals come from, if none of the first is."""
+    """Warning of the fit to all trials behind the intervals, unless the first fit has it too."""
     joint = None if "not_converged" in codes else of_all_trials(fits.prepared, final.fit)
     return () if joint is None else tuple(not_converged(joint.fit))
 
 
-def ended_doubt(spent: bool, what: str) -> Doubt:
+def ended_doubt(spent: bool, detail: str) -> Doubt:
     """Warning of a computation that ended early: budget of work spent, or stopped by the user."""
     if spent:
-        return Doubt("cut_short", f"the limit of work was reached: {what}")
-    return Doubt("interrupted", f"interrupted: {what}")
+        return Doubt("cut_short", f"the limit of work was reached: {detail}")
+    return Doubt("interrupted", f"interrupted: {detail}")
 
 
 def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
@@ -261,9 +261,9 @@ def noise_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Warnings of effects that would not be detected at half their size."""
     least = evidence.rules.heldout_gain
-    seen = [e for e in evidence.added if e.name in reading.effects]
+    weak = [e for e in evidence.added if e.name in reading.effects]
     if evidence.final.heldout is not None:
-        seen = [e for e in seen if evidence.fits.heldout_log_lr(evidence.final, e) >= least]
+        weak = [e for e in weak if evidence.fits.heldout_log_lr(evidence.final, e) >= least]
     return tuple(
         Doubt(
             "weakly_identified",
@@ -271,7 +271,7 @@ def weak_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
             "so the cause may be an effect outside the library; add a motion that shows more of "
             "it, as `cell suggest STUDY` finds, or repeat these with less noise",
         )
-        for effect in seen
+        for effect in weak
     )
 
 
@@ -280,7 +280,7 @@ def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     return (
         Doubt(
             "possibly_omitted",
-            f"all trials together show {first_of(reading.effects, TOLD, ' or ')} beyond chance, "
+            f"all trials together show {first_of(reading.effects, MOST, ' or ')} beyond chance, "
             "but the held-out trials do not confirm it: it remains open whether more is missing; "
             "add a motion that decides, as `cell suggest STUDY` finds",
         ),

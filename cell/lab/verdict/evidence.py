@@ -26,9 +26,9 @@ from cell.lab.verdict.smooth_part import (
 )
 from cell.study.independence import Independence
 
-#: Draws end when so many exceed what was measured: p is then known to a third …
+#: Drawing ends when this many draws exceed the measured value: p is then known to a third …
 EXCEEDING = 10
-#: … or when the smallest p that they can show is so small a share of the limit.
+#: … or when the smallest p that the draws can give is this share of the limit.
 FINEST = 0.5
 
 
@@ -37,49 +37,49 @@ def p_values(
 ) -> dict[str, float] | None:
     """Holm-corrected p-values of users' checks by name; None if a trial cannot be simulated.
 
-    A draw is white noise with errors of mesh and gripper log, less what the parameters imitate.
+    A draw is white noise plus errors of mesh and gripper log, projected off the parameters.
 
-    limit   below which they will be said to fail
+    limit   p-value below which a check fails
     raises  InputError: a statistic fails
     source  posterior predictive checks: Gelman, Meng & Stern 1996, Statistica Sinica 6, 733; the
             number of draws: Besag & Clifford 1991, Biometrika 78, 301
     """
-    left = all_trials_residual(prepared, fit)
-    if left is None:
+    residual = all_trials_residual(prepared, fit)
+    if residual is None:
         return None
-    most = round(len(checks) / (FINEST * limit))
-    found = [_p_value(left, check, most) for check in checks]
-    return dict(zip((c.name for c in checks), holm(found), strict=True))
+    max_draws = round(len(checks) / (FINEST * limit))
+    p_each = [_p_value(residual, check, max_draws) for check in checks]
+    return dict(zip((c.name for c in checks), holm(p_each), strict=True))
 
 
-def _p_value(left: AllTrialsResidual, check: OwnCheck, most: int) -> float:
-    measured = check.of(_residuals(left, left.every[0]))
+def _p_value(residual: AllTrialsResidual, check: OwnCheck, max_draws: int) -> float:
+    measured = check.of(_residuals(residual, residual.components[0]))
     exceeding = 0
-    for number, drawn in enumerate(_draws(left, most), 1):
-        exceeding += check.of(_residuals(left, drawn)) >= measured
+    for number, drawn in enumerate(_draws(residual, max_draws), 1):
+        exceeding += check.of(_residuals(residual, drawn)) >= measured
         if exceeding == EXCEEDING:
             return exceeding / number
-    return (exceeding + 1.0) / (most + 1.0)
+    return (exceeding + 1.0) / (max_draws + 1.0)
 
 
-def _draws(left: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
-    """(rows,) residuals of a complete model, always the same ones."""
+def _draws(residual: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
+    """Yield (rows,) residuals of a complete model, with a fixed random seed."""
     rng = np.random.default_rng(20261125)
-    linear, errors = left.whole.linear, left.every[1 : 1 + left.errors]
-    seen = np.concatenate([w.seen.transpose(1, 2, 0).ravel() for w in left.whiteners])
-    seen = np.append(seen, np.zeros(left.every.shape[1] - len(seen), dtype=bool))
+    linear, errors = residual.all_trials.linear, residual.components[1 : 1 + residual.errors]
+    valid = np.concatenate([w.seen.transpose(1, 2, 0).ravel() for w in residual.whiteners])
+    valid = np.append(valid, np.zeros(residual.components.shape[1] - len(valid), dtype=bool))
     for _ in range(count):
-        noise = np.where(seen, rng.standard_normal(len(seen)), 0.0)
-        yield linear.remove(noise[None])[0] + rng.standard_normal(left.errors) @ errors
+        noise = np.where(valid, rng.standard_normal(len(valid)), 0.0)
+        yield linear.remove(noise[None])[0] + rng.standard_normal(residual.errors) @ errors
 
 
-def _residuals(left: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
-    """Rows, by marker, channel and frame, as a check sees them; of unit size."""
-    prepared = left.whole.prepared
-    parts = left.whole.systematic_error.by_trial(rows)
-    seen = [np.moveaxis(w.seen, 0, -1) for w in left.whiteners]
+def _residuals(residual: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
+    """Rows as the residuals that a check receives, by trial; scaled to rms 1."""
+    prepared = residual.all_trials.prepared
+    parts = residual.all_trials.systematic_error.by_trial(rows)
+    valid = [np.moveaxis(w.seen, 0, -1) for w in residual.whiteners]
     white = [
-        np.where(s, part.reshape(s.shape), np.nan) for part, s in zip(parts, seen, strict=True)
+        np.where(s, part.reshape(s.shape), np.nan) for part, s in zip(parts, valid, strict=True)
     ]
     size = float(np.sqrt(np.nanmean(np.concatenate([w.ravel() for w in white]) ** 2)))
     arcs = prepared.study.arc_length_m
@@ -96,7 +96,7 @@ class Evidence:
     """A fitted model and the study that it is tested against.
 
     final  the model that may explain the study; the baseline itself if nothing was added
-    tied   of each effect that was added, those that explain as much in its place
+    tied   for each added effect, those that explain as much in its place
     """
 
     fits: FitCache
@@ -130,7 +130,7 @@ class Evidence:
 
     @cached_property
     def smooth_before(self) -> SmoothPart | None:
-        """The smooth part of what the baseline leaves on the held-out trials."""
+        """The smooth part of the baseline's residual on the held-out trials."""
         return smooth_part(self.prepared, self.base.fit)
 
     @cached_property
@@ -140,12 +140,12 @@ class Evidence:
 
     @cached_property
     def estimate(self) -> ParameterEstimate:
-        """The parameters from all trials; the covariance allows for effects that it may lack."""
+        """The parameters from all trials; the covariance allows for omitted effects."""
         return estimate(self.prepared, self.final.fit, self.fits.library.values())
 
     @cached_property
     def own_p_values(self) -> dict[str, float] | None:
-        """Of a user's own checks by name; None where a trial cannot be simulated."""
+        """p-values of a user's own checks by name; None if a trial cannot be simulated."""
         limit = self.rules.residual_significance
         return p_values(self.prepared, self.final.fit, self.rules.own, limit)
 

@@ -17,27 +17,27 @@ from cell.cable.arrays import FloatArray
 from cell.cable.model import knot_basis
 from cell.identify.gauss_newton import UNSIMULATED, jacobian_at
 from cell.identify.parameters import ParameterSpace, Prior
-from cell.lab.data.prepared import ERRS
+from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.fit.fitting import Fit, fit_model, fit_trials, problem_of
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import POLISH, FittedModel, model_of_fit
 
 _LOG = logging.getLogger(__name__)
 
-#: Knots of EI(s): as usual, and more.  Each of their splines is one of the next, too.
+#: Numbers of knots of EI(s): the usual one, then more.  The splines are nested.
 KNOTS = (Prior().knots, 11, 21)
-#: ln of how much likelier more knots, or an effect, must make a study.
+#: Minimum gain in ln likelihood by more knots or an effect.
 DECISIVE = 5.0
-#: A fit is worth its time if the linear model promises this share of what it must gain, and
-#: residuals within so many times those that explain a study.
+#: A fit is made if the linear model predicts this share of the required gain, and a residual within
+#: this multiple of one that explains the study.
 PROMISED, NEAR = 0.5, 2.0
 
 
 def with_more_knots(fits: FitCache, first: FitCache) -> FitCache | None:
     """The fits with more knots of EI(s), if the data favour them decisively; else None.
 
-    More are shown where with them the baseline, or else the likeliest model, explains the study and
-    is decisively likelier than every model so far, and held-out trials do not say otherwise.
+    That is if with them the baseline, or else the likeliest model, explains the study and is
+    decisively likelier than every model so far, and the held-out trials agree.
 
     fits   the models so far
     first  the same before noise was re-estimated given one of them
@@ -60,12 +60,12 @@ def with_more_knots(fits: FitCache, first: FitCache) -> FitCache | None:
 
 
 def _log_likelihood(model: FittedModel) -> float:
-    """ln of the likelihood of all trials: of those fitted to, and of the others given these."""
+    """ln likelihood of all trials: of the fitted ones, and of the others given these."""
     return model.evidence + (model.heldout.log_likelihood if model.heldout else 0.0)
 
 
 def _more_knots(fits: FitCache, model: FittedModel, needed: float) -> FittedModel | None:
-    """A model with the likeliest number of knots; None if that does not gain what is needed.
+    """A model with the likeliest number of knots; None if its gain is below `needed`.
 
     raises  UnsimulatedError
     """
@@ -77,20 +77,20 @@ def _more_knots(fits: FitCache, model: FittedModel, needed: float) -> FittedMode
     spaces = [before.space.with_knots(k) for k in KNOTS if k > before.space.knots]
     each = [linear.evidence(space) for space in spaces]
     (evidence, square), likeliest = max(zip(each, spaces, strict=True), key=lambda e: e[0][0])
-    noise = (NEAR * ERRS) ** 2 * prepared.count(fit_trials(prepared))
+    noise = (NEAR * ERROR_RATIO) ** 2 * prepared.count(fit_trials(prepared))
     if evidence - usual < PROMISED * needed or square > noise:
         return None
     start = before.space.at_knots(before.q, likeliest.knots)
     fit = fit_model(prepared, likeliest, start, before.initial_states, options=POLISH)
-    found = model_of_fit(prepared, model.effects, fit)
-    worth, held = fits.worth(model, found)
-    gain = held + 0.5 * (worth - _penalty(fits, fit) + _penalty(fits, before))
-    shown = gain > needed and held >= 0.0 and fits.explained_by(found)
-    return found if shown else None
+    refitted = model_of_fit(prepared, model.effects, fit)
+    fitted_gain, heldout_gain = fits.corrected_gain(model, refitted)
+    gain = heldout_gain + 0.5 * (fitted_gain - _penalty(fits, fit) + _penalty(fits, before))
+    favoured = gain > needed and heldout_gain >= 0.0 and fits.explained_by(refitted)
+    return refitted if favoured else None
 
 
 def _penalty(fits: FitCache, fit: Fit) -> float:
-    """What the parameters cost a fit: ln of how much narrower the data make their distribution.
+    """Occam factor of a fit: ln det ratio of the parameters' posterior and prior precision.
 
     source  Laplace's approximation of a marginal likelihood (MacKay 1992, Neural Comput. 4, 415)
     """
@@ -105,9 +105,9 @@ def _log_det(matrix: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _LinearModel:
-    """A fitted model as a linear one of its parameters with the most knots.
+    """A fitted model, linearised in its parameters with the largest number of knots.
 
-    residual  (rows,) white, where it was fitted; jacobian (rows, p) of the most knots, the other
+    residual  (rows,) whitened, at the fit; jacobian (rows, p) with respect to the knots, the other
               parameters, and the trials' initial states
     """
 
@@ -118,7 +118,7 @@ class _LinearModel:
 
     @staticmethod
     def of(fits: FitCache, fit: Fit) -> _LinearModel | None:
-        """None where a finer cable cannot be simulated."""
+        """The linearised model; None if a finer cable cannot be simulated."""
         most = fit.space.with_knots(KNOTS[-1])
         problem = problem_of(fits.prepared, most, fit_trials(fits.prepared))
         q = fit.space.at_knots(fit.solution.q, KNOTS[-1])
@@ -128,18 +128,18 @@ class _LinearModel:
         return _LinearModel(fits, fit, fit.solution.residual, jacobian)
 
     def evidence(self, space: ParameterSpace) -> tuple[float, float]:
-        """For a space with its likeliest parameters: ln of the likelihood, and χ² of the residuals.
+        """ln of the marginal likelihood of a space, and χ² of the residual at its optimum.
 
-        The likelihood is integrated over the parameters, and known but for a constant.
+        The likelihood is integrated over the parameters, and defined up to a constant.
         """
         problem = problem_of(self.fits.prepared, space, fit_trials(self.fits.prepared))
         most, precision = KNOTS[-1], problem.precision
         basis = knot_basis(space.knots, tuple(np.linspace(0.0, 1.0, most)))
         jacobian = np.hstack([self.jacobian[:, :most] @ basis, self.jacobian[:, most:]])
-        away = self.fit.space.at_knots(self.fit.solution.q, space.knots) - problem.mean
+        prior_offset = self.fit.space.at_knots(self.fit.solution.q, space.knots) - problem.mean
         normal = jacobian.T @ jacobian + precision
-        step = -np.linalg.solve(normal, jacobian.T @ self.residual + precision @ away)
-        left, there = self.residual + jacobian @ step, away + step
-        square = float(left @ left)
-        objective = square + float(there @ precision @ there)
+        step = -np.linalg.solve(normal, jacobian.T @ self.residual + precision @ prior_offset)
+        residual, offset = self.residual + jacobian @ step, prior_offset + step
+        square = float(residual @ residual)
+        objective = square + float(offset @ precision @ offset)
         return -0.5 * (objective + _log_det(normal) - _log_det(precision)), square

@@ -24,26 +24,25 @@ Explains = Callable[[Evidence], bool]
 def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, ...]:
     """Effects that are not needed, or explain nothing, without the prior.
 
-    The study is asked without the prior: the fewest of them that explain it to its noise are
-    needed, each unless another, not `tied` with it, explains as much or more in its place.
-    Where, with all of them in, parameters that agree with the prior explain the study to the
-    measurement's noise, they account for all that sets this cable apart; then one that the prior
-    alone asks for is what a prior is for.  Several are never spared: that the cable is not the
-    prior's is the simpler explanation.
+    The study is diagnosed without the prior.  Needed are the fewest effects that explain it to its
+    noise, each unless an effect that is not `tied` with it explains as much or more in its place.
+    One prior-driven effect is accepted if the model with all effects explains the study to the
+    measurement's noise with parameters that agree with the prior.  Several are never accepted: a
+    cable that differs from the prior's is the simpler explanation.
     """
     fits = evidence.fits
     if fits.prior_q is None or evidence.is_base:
         return ()
-    spared = int(_of_this_cable(fits, evidence.final))
-    if len(evidence.added) <= spared:
+    accepted = int(_agrees_with_prior(fits, evidence.final))
+    if len(evidence.added) <= accepted:
         return ()
-    alone = _without_prior(fits)
-    found = unconfirmed_without_prior(alone, evidence.added, evidence.tied, explains)
-    return found if len(found) > spared else ()
+    without_prior = _without_prior(fits)
+    unconfirmed = unconfirmed_without_prior(without_prior, evidence.added, evidence.tied, explains)
+    return unconfirmed if len(unconfirmed) > accepted else ()
 
 
 def _without_prior(fits: FitCache) -> FitCache:
-    """The same study, as of a cable of which nothing is known."""
+    """The fits of the same study with the uninformative prior of an unknown cable."""
     prepared, space = fits.prepared, fits.space
     free = ParameterSpace.of(
         space.cable,
@@ -63,46 +62,46 @@ def _without_prior(fits: FitCache) -> FitCache:
 
 
 def unconfirmed_without_prior(
-    alone: FitCache,
+    fits: FitCache,
     effects: Sequence[type[Effect]],
     tied: Mapping[str, Sequence[str]],
     explains: Explains,
 ) -> tuple[str, ...]:
     """The effects that are not needed, or explain nothing, in a study without a prior."""
-    base = alone.base
+    base = fits.base
 
     def extended(model: FittedModel) -> Sequence[FittedModel]:
-        others = [e for e in effects if e.name not in model.names]
-        return alone.fit_extended(model, others) if others else ()
+        remaining = [e for e in effects if e.name not in model.names]
+        return fits.fit_extended(model, remaining) if remaining else ()
 
     for level in levels(base, extended, lambda _, options: options):
-        fewest = [c for c in level if explains(Evidence(alone, c))]
+        fewest = [c for c in level if explains(Evidence(fits, c))]
         if fewest:
             needed = max(fewest, key=lambda c: c.evidence)
             return tuple(
                 e.name
                 for e in effects
                 if e.name not in needed.names
-                or _in_place(alone, needed, e) - set(tied.get(e.name, ()))
+                or _in_place(fits, needed, e) - set(tied.get(e.name, ()))
             )
     return tuple(e.name for e in effects)
 
 
-def _in_place(alone: FitCache, needed: FittedModel, effect: type[Effect]) -> frozenset[str]:
-    """Effects that explain as much as one of a candidate's, or more, in its place."""
-    rest = alone.fit_reduced(needed, effect)
-    rivals = alone.extended(rest)
-    found = [c.names - rest.names for c in close_rivals(alone, needed, rivals)]
-    return frozenset().union(*found) - needed.names
+def _in_place(fits: FitCache, needed: FittedModel, effect: type[Effect]) -> frozenset[str]:
+    """Effects that explain as much as `effect` of the model `needed`, or more, in its place."""
+    reduced = fits.fit_reduced(needed, effect)
+    rivals = fits.extended(reduced)
+    replacements = [c.names - reduced.names for c in close_rivals(fits, needed, rivals)]
+    return frozenset().union(*replacements) - needed.names
 
 
-def _of_this_cable(fits: FitCache, final: FittedModel) -> bool:
+def _agrees_with_prior(fits: FitCache, final: FittedModel) -> bool:
     """Whether a model explains the study to the measurement's noise, and agrees with the prior."""
     if error_over_noise(fits.prepared, final) > fits.rules.most_over_noise:
         return False
     space = fits.space
     own = [final.fit.space.names.index(n) for n in space.names]
-    away = final.fit.q[own] - space.mean
-    square = float(away @ space.precision @ away)
-    chance = float(chi2_sf(len(away), square))
-    return bool(np.isfinite(square) and chance > fits.rules.residual_significance)
+    offset = final.fit.q[own] - space.mean
+    square = float(offset @ space.precision @ offset)
+    p_value = float(chi2_sf(len(offset), square))
+    return bool(np.isfinite(square) and p_value > fits.rules.residual_significance)

@@ -13,7 +13,7 @@ from cell.lab.search.residual_summary import (
     residual_summary,
     vuong_z,
 )
-from cell.lab.search.rivals import any_at_bound, chance_of, close_rivals, is_at_bound, near_singles
+from cell.lab.search.rivals import any_at_bound, close_rivals, is_at_bound, near_singles, step_p
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 
@@ -63,32 +63,32 @@ def _tied(fits: FitCache, final: FittedModel, effect: type[Effect]) -> tuple[str
 def tied_so_far(fits: FitCache, final: FittedModel, effect: type[Effect]) -> tuple[str, ...]:
     """Effects that tie with `effect`, among the models fitted so far.
 
-    Of a single effect that leaves more than noise also those that do with one more added:
-    more than one is missing then, and what is nearest alone need not be one of these.
+    For a single effect with a residual above noise, also effects that tie after one more is added:
+    more than one is missing then, and the single nearest effect need not be one of them.
     """
-    rest = final.names - {effect.name}
+    without = final.names - {effect.name}
     rivals = [
         c
         for c in fits.known()
-        if rest < c.names
+        if without < c.names
         and len(c.names) == len(final.names)
         and c.names != final.names
         and not any(e is effect.wider for e in c.effects)
     ]
-    small = next((c for c in fits.known() if c.names == rest), fits.base)
+    small = next((c for c in fits.known() if c.names == without), fits.base)
     close = _as_good(fits, small, final, rivals)
-    tied = [next(iter(c.names - rest)) for c in close]
-    near = [] if rest else near_singles(fits, final, [final, *rivals])
-    most = residual_summary(fits.prepared, final)
-    for alone in near:
-        name = next(iter(alone.names))
-        in_company = [
+    tied = [next(iter(c.names - without)) for c in close]
+    near = [] if without else near_singles(fits, final, [final, *rivals])
+    own = residual_summary(fits.prepared, final)
+    for rival in near:
+        name = next(iter(rival.names))
+        with_one_more = [
             c
             for c in fits.known()
-            if alone.names < c.names and effect.name not in c.names and not any_at_bound(c)
+            if rival.names < c.names and effect.name not in c.names and not any_at_bound(c)
         ]
-        left = [residual_summary(fits.prepared, c) for c in in_company]
-        if name not in tied and any(log_variance_ratio(most, x) <= 0.0 for x in left):
+        residuals = [residual_summary(fits.prepared, c) for c in with_one_more]
+        if name not in tied and any(log_variance_ratio(own, x) <= 0.0 for x in residuals):
             tied.append(name)
     return tuple(tied)
 
@@ -96,16 +96,16 @@ def tied_so_far(fits: FitCache, final: FittedModel, effect: type[Effect]) -> tup
 def _as_good(
     fits: FitCache, small: FittedModel, final: FittedModel, rivals: Sequence[FittedModel]
 ) -> list[FittedModel]:
-    """Rivals that leave as little as `final`, by what models that are all wrong can tell.
+    """Rivals that explain as much as `final`, by a test for models that are all wrong (Vuong).
 
-    What is at its bound is none, nor is what removes nothing significant, or not most of what
-    `final` does, of the error of `small`, which lacks the last effect.
+    Excluded are rivals at a bound, and those that remove no significant part, or not most of what
+    `final` removes, of the error of `small`, which lacks the last effect.
     """
     rules, close = fits.rules, {c.names for c in close_rivals(fits, final, rivals)}
     least = rules.most_share * fits.removed_share(small, final)
 
     def as_good(rival: FittedModel) -> bool:
-        p_value = chance_of(fits, small, rival) * len(fits.library)
+        p_value = step_p(fits, small, rival) * len(fits.library)
         if is_at_bound(small, rival) or p_value > rules.significance:
             return False
         if fits.removed_share(small, rival) < least:

@@ -79,4 +79,4 @@ def test_a_coarse_fit_that_gains_no_more_is_gone_on_with_or_said_to_be_unfinishe
     found = fit_model(prepared, space, start, options=options, from_far=True)
     assert stages == [12, 1 + 12 - passes]
     arrived = found.objective == pytest.approx(fine.objective, rel=1e-4)
-    assert arrived or found.promised_objective < found.objective - 10.0
+    assert arrived or found.predicted_objective < found.objective - 10.0

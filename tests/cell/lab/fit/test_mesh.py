@@ -15,7 +15,7 @@ from cell.lab.diagnosis import diagnose
 from cell.lab.fit.corrections import mesh_error_m, moves_parameters, without_mesh_error
 from cell.lab.fit.fitting import fit_trials
 from cell.lab.fit.systematic_error import systematic_error
-from cell.lab.verdict.check_statistics import of_effects
+from cell.lab.verdict.check_statistics import score_tests
 from cell.study.data import Markers, Study, Trial
 from tests.cell.lab.conftest import fits_of
 from tools.worlds.made_studies import moved
@@ -84,5 +84,5 @@ def test_markers_of_uncertain_arc_length_move_along_the_line_of_the_model():
     fit, prepared = fits.base.fit, fits.prepared
     for slopes in prepared.lines.values():  # of a cable that does not stretch
         np.testing.assert_allclose(np.linalg.norm(slopes, axis=2), 1.0, atol=2e-3)
-    ((asked, _),) = of_effects(prepared, fit, [library()["grip_slip"]]).values()
+    ((asked, _),) = score_tests(prepared, fit, [library()["grip_slip"]]).values()
     assert asked.chi2 < 6.0

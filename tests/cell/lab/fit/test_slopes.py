@@ -14,7 +14,7 @@ from cell.lab.fit import sensitivity
 from cell.lab.fit.fitting import HARMLESS, fit_model, fit_trials, problem_of, with_slope_solver
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.sensitivity import sensitivities
-from cell.lab.verdict.check_statistics import of_effects
+from cell.lab.verdict.check_statistics import score_tests
 
 
 @pytest.fixture(scope="module")
@@ -84,4 +84,4 @@ def test_a_change_that_no_smaller_effect_makes_smaller_is_kept_and_none_is_asked
     effect = library()[name]
     (found,) = sensitivities(prepared, fit, [effect])
     assert np.any(found.rows) == (change > 0.0)
-    assert set(of_effects(prepared, fit, [effect])) == ({name} if change else set())
+    assert set(score_tests(prepared, fit, [effect])) == ({name} if change else set())

@@ -214,8 +214,8 @@ def test_an_effect_with_which_not_all_cables_can_be_simulated_is_not_the_cause(m
     space = CablesSpace((), (), None, np.empty(0), (), LearningBudget(), said.append)
     none = SimpleNamespace(best=None)
     tried = [SimpleNamespace(name=n, p_value=0.0) for n in ("first", "second")]
-    assert space.kept(none, tried) == ["second"]
-    assert space.kept(none, tried[:1]) == []
+    assert space.select(none, tried) == ["second"]
+    assert space.select(none, tried[:1]) == []
     assert said == 2 * ["not all cables can be simulated with first"]
 
 
@@ -328,8 +328,8 @@ def test_a_cycle_of_which_nothing_can_be_forecast_stops_no_candidate(result, not
     """One hold that no model identifies, or one tip unseen, was "inf → inf mm" and refused."""
     silent = pair(6, nothing, nothing, nothing, nothing)
     found = gates(result, [*BETTER, silent])
-    assert {n: g.found for n, g in found.items()} == {
-        n: g.found for n, g in gates(result, BETTER).items()
+    assert {n: g.text for n, g in found.items()} == {
+        n: g.text for n, g in gates(result, BETTER).items()
     }
     assert all(g.passed for g in found.values())
     lost = pair(7, 3e-4, np.inf, 2e-4, np.inf)
@@ -405,7 +405,7 @@ def test_an_effect_of_one_line_in_two_does_not_pass(result, dragged, monkeypatch
     assert gate(result.best.fit).passed
     refused = gate(mixed)
     assert not refused.passed
-    assert re.search(r"Q [0-9.]+ of 3, p = \de-", refused.found), refused.found
+    assert re.search(r"Q [0-9.]+ of 3, p = \de-", refused.text), refused.text
 
 
 def test_a_place_that_cables_together_miss_is_found_from_each_alone(tmp_path, monkeypatch):
@@ -571,7 +571,7 @@ def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere():
     result = learned(cycles_in({}, 2, 9))
     assert result.best is None
     complete, slid = result.baseline, []
-    assert np.abs(complete.end_seen_beyond_m).max() < 2.5e-4
+    assert np.abs(complete.end_offset_m).max() < 2.5e-4
     for cable in complete.cables:
         share = (cable.study.arc_length_m / TASK.cable.free_length_m)[:, None]
         trials = tuple(
@@ -581,7 +581,7 @@ def test_a_complete_world_teaches_nothing_unless_all_ends_are_seen_elsewhere():
         )
         slid.append(prepared_cycle(replace(cable.study, trials=trials)))
     fit = fit_shared(slid, complete.space, complete.q)
-    assert fit.end_seen_beyond_m == pytest.approx(complete.end_seen_beyond_m + 5e-4, abs=1e-4)
+    assert fit.end_offset_m == pytest.approx(complete.end_offset_m + 5e-4, abs=1e-4)
     assert fit.rms_m < 1.05 * complete.rms_m
     assert negligible(complete) and not negligible(fit)
     answers = learning_outcomes(result)

@@ -35,7 +35,7 @@ def result(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) 
         rms_m=rms_m,
         noise_m=1e-4,
         cables=(cable, cable),
-        end_seen_beyond_m=np.full(2, beyond_m),
+        end_offset_m=np.full(2, beyond_m),
         end_std_m=5e-5,
     )
     return LearningResult((), fit)

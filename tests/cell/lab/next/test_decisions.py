@@ -13,11 +13,11 @@ from scipy.stats import multivariate_normal
 from cell.cable.effects import library
 from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.score_test import boundary_p_value
-from cell.lab.fit.sensitivity import chances_of
-from cell.lab.next.decisions import Circumstances, EffectTest
+from cell.lab.fit.sensitivity import shape_count
+from cell.lab.next.decisions import EffectTest, StudyConstants
 from cell.lab.next.decisions import Tests as DecisionTests
 
-GIVEN = Circumstances(25, 9000, 9000, 0.5, 1e-4, 0.0, 1.0, 1.0)
+GIVEN = StudyConstants(25, 9000, 9000, 0.5, 1e-4, 0.0, 1.0, 1.0)
 
 
 def effect_test(name: str, inside: np.ndarray, outside: np.ndarray) -> EffectTest:
@@ -39,9 +39,9 @@ def test_the_least_fall_is_that_of_the_rules(name: str) -> None:
     amplitudes = [p for p in effect.parameters if p.amplitude]
     bounded = int(len(amplitudes) == 1 and amplitudes[0].low >= amplitudes[0].default)
     test = effect_test(name, np.eye(len(amplitudes)), np.eye(len(amplitudes)))
-    few = Circumstances(25, 2, 2, 0.5, 1e-4, 0.0, 1.0, 1.0)  # BIC asks for nothing then
+    few = StudyConstants(25, 2, 2, 0.5, 1e-4, 0.0, 1.0, 1.0)  # BIC asks for nothing then
     least = test.least_fall(few)
-    p_value = boundary_p_value(least, len(amplitudes), bounded, chances_of(effect))
+    p_value = boundary_p_value(least, len(amplitudes), bounded, shape_count(effect))
     assert 25 * p_value == pytest.approx(DEFAULT_RULES.significance, rel=1e-3)
     assert test.least_fall(GIVEN) >= least
 
@@ -62,7 +62,7 @@ def test_the_gain_is_the_ratio_of_the_densities_of_what_is_held_out(seed: int) -
 
 def test_an_amplitude_of_one_sign_is_nothing_on_the_other_side() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[3.0]]))
-    judged = test.judged(np.array([[-30.0, -20.0], [30.0, 20.0]]), GIVEN)
+    judged = test.decide(np.array([[-30.0, -20.0], [30.0, 20.0]]), GIVEN)
     assert list(judged.significant) == [False, True]
     assert list(judged.confirmed) == [False, True]
     assert judged.chi2[0] == 0.0
@@ -71,15 +71,15 @@ def test_an_amplitude_of_one_sign_is_nothing_on_the_other_side() -> None:
 def test_the_hand_s_errors_make_the_same_worth_less() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[3.0]]))
     scores = np.array([[12.0, 30.0]])
-    doubtful = Circumstances(25, 9000, 9000, 0.5, 1e-4, 0.0, 4.0, 4.0)
-    assert test.judged(scores, GIVEN).significant[0]
-    assert not test.judged(scores, doubtful).significant[0]
+    doubtful = StudyConstants(25, 9000, 9000, 0.5, 1e-4, 0.0, 4.0, 4.0)
+    assert test.decide(scores, GIVEN).significant[0]
+    assert not test.decide(scores, doubtful).significant[0]
 
 
 def test_without_held_out_trials_nothing_is_confirmed() -> None:
     test = effect_test("air_drag", np.array([[4.0]]), np.array([[0.0]]))
-    none = Circumstances(25, 9000, 0, 0.5, 1e-4, 0.0, 1.0, 1.0)
-    judged = test.judged(np.array([[100.0, 0.0]]), none)
+    none = StudyConstants(25, 9000, 0, 0.5, 1e-4, 0.0, 1.0, 1.0)
+    judged = test.decide(np.array([[100.0, 0.0]]), none)
     assert judged.significant[0]
     assert not judged.confirmed[0]
 

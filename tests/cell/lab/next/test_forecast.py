@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cell.cable.effects import library
-from cell.lab.next.asked import AskedEffect
+from cell.lab.next.effect_query import EffectQuery
 from cell.lab.next.forecast import SizeSearch, forecast
 
 SIZE_RAD_PER_N_M = 40.0
@@ -13,7 +13,7 @@ AMPLITUDE_M = 4e-4
 def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
     """Its fit has the shape free, too: noise hides half of the effect in more directions."""
     effect = library()["grip_compliance"]
-    asked = AskedEffect(effect, effect.parameters[0], SIZE_RAD_PER_N_M)
+    asked = EffectQuery(effect, effect.parameters[0], SIZE_RAD_PER_N_M)
     found = SizeSearch(fitted, asked, linear).tests(SIZE_RAD_PER_N_M)
     assert found is not None
     plain, beside = (some.stop - some.start for some, _ in found[0].detectable_at_half_size)
@@ -23,7 +23,7 @@ def test_half_of_an_effect_is_looked_for_with_its_shape_free(fitted, linear):
 def test_an_effect_with_a_shape_of_nothing_is_forecast(fitted, linear):
     """A stroke's phase is 0 at first: no share of that changes anything."""
     effect = library()["robot_ringing"]
-    asked = AskedEffect(effect, effect.parameters[0], AMPLITUDE_M)
+    asked = EffectQuery(effect, effect.parameters[0], AMPLITUDE_M)
     assert 0.0 in asked.at(AMPLITUDE_M).values
     said = forecast(fitted, asked, linear)
     assert said.chances is not None

@@ -12,7 +12,7 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.noise import Noise
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.fit.sensitivity import changes
-from cell.lab.next.hidden import HiddenEffectWorld, left_of
+from cell.lab.next.hidden import HiddenEffectWorld, refit_residual
 
 MASS_KG = 2.5e-5
 
@@ -75,13 +75,13 @@ def test_the_effect_is_in_it(fitted, world):
 def test_without_noise_a_refit_leaves_what_its_parameters_cannot_imitate(fitted, linear):
     """A weak effect: as slopes say.  None at all: nothing."""
     drag, fit = library()["air_drag"], fitted.base.fit
-    left = left_of(fitted.prepared, fit, drag.active(drag_coefficient=0.05))
+    left = refit_residual(fitted.prepared, fit, drag.active(drag_coefficient=0.05))
     hidden = changes(
         linear.all_trials.prepared, linear.all_trials.fit, [drag.active(drag_coefficient=0.05)]
     )
     expected = linear.project_out_fitted(hidden)[0] + linear.heldout(hidden)[0]
     assert np.linalg.norm(left - expected) < 0.05 * np.linalg.norm(expected)
-    nothing = left_of(fitted.prepared, fit, drag.active(drag_coefficient=0.0))
+    nothing = refit_residual(fitted.prepared, fit, drag.active(drag_coefficient=0.0))
     assert np.linalg.norm(nothing) < 1e-3 * np.linalg.norm(expected)
 
 
@@ -90,4 +90,4 @@ def test_an_effect_with_which_nothing_can_be_simulated_is_told(fitted):
     with pytest.raises(UnsimulatedError):
         HiddenEffectWorld.of(fitted.prepared, fitted.base.fit, heavy)
     with pytest.raises(UnsimulatedError):
-        left_of(fitted.prepared, fitted.base.fit, heavy)
+        refit_residual(fitted.prepared, fitted.base.fit, heavy)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cell.cable.solver import Solver
-from cell.lab.next.asked import select_asked
+from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.planned import with_motions
 from cell.lab.next.study_power import power_of
 from cell.lab.next.suggestion import Stroke
@@ -40,7 +40,7 @@ def test_the_wrench_of_a_motion_to_come_counts(study):
     still = planned.wrench.t_s < 0.19
     noise_n = fits.prepared.gauges.force.noise.std_m
     assert np.std(planned.wrench.values[still, 1]) == pytest.approx(noise_n, rel=0.4)
-    asked = select_asked(["tip_mass=0.001"], [])[0]
+    asked = effect_queries(["tip_mass=0.001"], [])[0]
     bare = replace(study, trials=tuple(replace(t, wrench=None) for t in study.trials))
     with_it, without = (power_of(f, asked).effects[0] for f in (fits, of(bare)))
     assert with_it.noncentrality > 1.2 * without.noncentrality

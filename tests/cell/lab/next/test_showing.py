@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from cell.lab.next.asked import select_asked
+from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
 from cell.lab.next.motion_file import hand_motion
@@ -33,7 +33,7 @@ def fits(make_study) -> FitCache:
 
 @pytest.fixture(scope="module")
 def shown(fits: FitCache) -> Suggestion:
-    (draught,), _ = select_asked(["draught=0.03"], [])
+    (draught,), _ = effect_queries(["draught=0.03"], [])
     return showing_motion(fits, [draught], AROUND)
 
 
@@ -49,7 +49,7 @@ def test_a_study_with_the_best_motion_shows_more_than_with_the_worst(
     fits: FitCache, shown: Suggestion, tmp_path: Path
 ) -> None:
     """Forecast by another way: the whitened slopes of all trials, and the gates of a diagnosis."""
-    (draught,), _ = select_asked(["draught=0.015"], [])
+    (draught,), _ = effect_queries(["draught=0.015"], [])
     found = []
     for number in (0, -1):
         file = tmp_path / f"stroke{number % 2}.yaml"
@@ -62,7 +62,7 @@ def test_a_study_with_the_best_motion_shows_more_than_with_the_worst(
 
 
 def test_a_size_that_no_motion_shows_says_what_would_help(fits: FitCache) -> None:
-    (faint,), _ = select_asked(["tip_mass=1e-9"], [])
+    (faint,), _ = effect_queries(["tip_mass=1e-9"], [])
     with pytest.raises(ValueError, match=r"no safe motion tells baseline from tip_mass \("):
         showing_motion(fits, [faint], AROUND)
 

@@ -11,15 +11,15 @@ import pytest
 from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
 from cell.lab.next import study_power
-from cell.lab.next.asked import select_asked
+from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.forecast import POWER, CopyOutcome, Recovery, forecast
-from cell.lab.next.study_power import judged, power_of, recover
+from cell.lab.next.study_power import copy_outcome, power_of, recover
 from cell.lab.report.model_tables import power_sentences, power_table, recovery_table
 from tests.cell.lab.conftest import fits_of
 
 
 def asked(given):
-    return select_asked([given], [])[0][0]
+    return effect_queries([given], [])[0][0]
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def said(verdict, *named):
     ],
 )
 def test_a_verdict_is_judged_beside_what_is_hidden(diagnosis, expected):
-    assert judged(diagnosis, "air_drag") == expected
+    assert copy_outcome(diagnosis, "air_drag") == expected
 
 
 def test_the_result_is_json_and_tables_of_it_tell_the_same(fitted, smallest):

@@ -17,15 +17,15 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import Rival
-from cell.lab.fit.heldout import predict_whole_cable
+from cell.lab.fit.heldout import predict_cable
 from cell.lab.next.motion_file import load_motion
 from cell.lab.next.suggest import (
     DECIDED,
-    _open,
+    _evaluated,
+    _prediction_of,
     _rest_low_m,
     _separation,
     _trial,
-    _weighed,
     suggest_motion,
     whitener_of_planned,
 )
@@ -255,9 +255,9 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
     def apart(measured, stroke):
         prepared = PreparedStudy.of(measured, solver=coarse)
         known, trial = _trial(prepared, stroke, box)
-        (shown,), _ = predict_whole_cable(known, trial, [rivals[0].model])
+        (shown,), _ = predict_cable(known, trial, [rivals[0].model])
         white = whitener_of_planned(known, trial, shown)
-        return _separation(*(_open(known, rival, trial, white)[0] for rival in rivals))
+        return _separation(*(_prediction_of(known, rival, trial, white)[0] for rival in rivals))
 
     swing, rest = Stroke(0.0, 0.0, -0.1, 0.4), Stroke(0.0, 0.0, -1e-9, 0.4)
     assert apart(study, swing) > 1.1 * apart(bare, swing)
@@ -285,7 +285,7 @@ def test_a_slow_camera_does_not_hide_where_the_cable_turns_back(soft):
 
     def begins_m(rate_hz):
         cell = Surroundings(x_m=(-0.3, 0.3), workpiece_m=-0.11, frame_rate_hz=rate_hz)
-        return _weighed(prepared, rivals, stroke, cell, -0.01).motion.x_m
+        return _evaluated(prepared, rivals, stroke, cell, -0.01).motion.x_m
 
     assert begins_m(200.0) > 0.005
     assert begins_m(10.0) == pytest.approx(begins_m(200.0), abs=5e-4)
@@ -294,6 +294,6 @@ def test_a_slow_camera_does_not_hide_where_the_cable_turns_back(soft):
 def test_a_cable_that_rests_nobody_knows_where_may_be_as_far_as_it_reaches(soft, monkeypatch):
     prepared, rivals = soft
     lost = np.full((1, 3, 21, 2), np.nan)
-    monkeypatch.setattr("cell.lab.next.suggest.predict_whole_cable", lambda *_: (lost, lost))
+    monkeypatch.setattr("cell.lab.next.suggest.predict_cable", lambda *_: (lost, lost))
     low_m = _rest_low_m(prepared, [rivals[0].model], Surroundings(), 0.0)
     assert low_m == -prepared.study.cable.length_m

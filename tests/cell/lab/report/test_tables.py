@@ -20,7 +20,7 @@ from cell.lab.report.tables import (
     steps_text,
     verdict_line,
 )
-from cell.lab.report.wording import apart, left_in_words, mm, noise_in_words
+from cell.lab.report.wording import apart, mm, noise_in_words, residual_in_words
 from cell.lab.strength.compare import Comparison, compare_model
 from cell.lab.verdict.checks import CHECKS
 from cell.study.hand_drift import HandDrift
@@ -119,7 +119,7 @@ def test_one_statement_about_noise_where_the_study_states_it_and_the_camera_is_b
     assert "camera noise at rest is 0.002 mm" in said
     assert f"in {shown.patterns()} of 3 trials it has a pattern" in said
     assert "camera noise (0.02" not in said
-    words = {left_in_words(w, shown) for w in shown.where}
+    words = {residual_in_words(w, shown) for w in shown.where}
     assert words <= {"noise", "a pattern within the stated error"}
     assert "as stated (camera noise at rest 0.002 mm)" in noise_in_words(shown)
     # what the study states of sensors is told beside the verdict

@@ -27,7 +27,7 @@ GIVEN = Confirmation(
     ],
 )
 def test_an_effect_is_confirmed_by_likelihood_by_error_and_by_itself(change, given):
-    assert replace(GIVEN, **change).is_given(RULES) is given
+    assert replace(GIVEN, **change).is_confirmed(RULES) is given
 
 
 @pytest.mark.parametrize(
@@ -47,5 +47,5 @@ def test_what_is_decided_without_it_is_not_simulated():
     def simulated() -> float:
         raise AssertionError("a simulation that nobody needs")
 
-    assert not replace(GIVEN, gain=0.0, log_lr=simulated).is_given(RULES)
+    assert not replace(GIVEN, gain=0.0, log_lr=simulated).is_confirmed(RULES)
     assert not replace(GIVEN, gain=-99.0, log_lr=simulated).is_impossible(RULES)

@@ -54,7 +54,7 @@ def a_fit(objective, promised=None, **others):
     solution = SimpleNamespace(converged_or_idle=True)
     known = {"rms_m": 1e-4, "solution": solution, "space": None, "q": None, "initial_states": {}}
     ends = objective if promised is None else promised
-    return SimpleNamespace(objective=objective, promised_objective=ends, **(known | others))
+    return SimpleNamespace(objective=objective, predicted_objective=ends, **(known | others))
 
 
 def fitted_with(monkeypatch, fit_model):
@@ -220,7 +220,7 @@ def test_of_two_minima_without_an_effect_the_likelier_is_kept(cache, monkeypatch
     def taken_out(fits, candidate, rest):
         fitted.append(rest)
 
-    monkeypatch.setattr(FitCache, "_taken_out", taken_out)
+    monkeypatch.setattr(FitCache, "_fit_without", taken_out)
     monkeypatch.setattr(fit_cache, "model_of_fit", lambda *args: better)
     both = FittedModel((LOAD, DRAG), None, None, 0.0)
     assert [fits.fit_reduced(both, DRAG) for _ in range(2)] == [better, better]

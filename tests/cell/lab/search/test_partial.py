@@ -166,7 +166,7 @@ def test_singles_are_compared_when_their_fits_are_finished():
         asked.append(len(effects))
         return [single(e.name, 0.35) for e in effects]
 
-    ended = partial._finished(SimpleNamespace(fit_extended=add, work=Work()), base, initial_states)
+    ended = partial._converged(SimpleNamespace(fit_extended=add, work=Work()), base, initial_states)
     assert [c.chi2 for c in ended] == [0.35, 0.35, 0.35, 0.35, 0.31]
     assert [c.names for c in ended] == [c.names for c in initial_states]
     assert asked == [3, 1]

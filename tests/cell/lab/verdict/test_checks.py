@@ -131,7 +131,7 @@ def test_a_negligible_smooth_part_passes_whatever_its_chance(monkeypatch):
     before = SmoothPart(chi2=90_000.0, count=200.0, rows=100_000, dof=np.inf)
     evidence = fake()
     vars(evidence)["smooth_before"] = before
-    monkeypatch.setattr(check_statistics, "of_a_finer_model", lambda *_: part)
+    monkeypatch.setattr(check_statistics, "without_systematic_error", lambda *_: part)
     assert part.p_value < 1e-6
     assert check_statistics.heldout_smooth(evidence).value == 1.0
     vars(evidence)["smooth_before"] = SmoothPart(500.0, 200.0, 100_000, np.inf)
@@ -154,9 +154,9 @@ def test_ties_count_the_effect_itself():
 
 
 def test_every_row_of_what_may_be_claimed_is_asked_of_a_model_at_the_noise(monkeypatch):
-    for name in ("of_a_finer_model", "parameter_constancy_of"):
+    for name in ("without_systematic_error", "parameter_constancy_of"):
         monkeypatch.setattr(check_statistics, name, lambda *_: None)
-    monkeypatch.setattr(check_statistics, "of_effects", lambda *_: {})
+    monkeypatch.setattr(check_statistics, "score_tests", lambda *_: {})
     evidence = fake()
     vars(evidence)["smooth_before"] = None
     object.__setattr__(evidence, "final", evidence.base)

@@ -241,7 +241,7 @@ def test_the_best_motion_so_far_is_suggested(study, monkeypatch):
             raise KeyboardInterrupt
         return "view" if len(looked) == 1 else Option(stroke, float(len(looked)), "b", 0.5)
 
-    monkeypatch.setattr("cell.lab.next.suggest._weighed", weighed)
+    monkeypatch.setattr("cell.lab.next.suggest._evaluated", weighed)
     monkeypatch.setattr("cell.lab.next.suggest._rest_low_m", lambda *_: 0.0)
     space = ParameterSpace.of(study.cable)
     rivals = [Rival(n, space, space.mean, np.eye(len(space.mean))) for n in "ab"]

@@ -60,7 +60,7 @@ def test_an_effect_that_is_all_that_sets_a_cable_apart_is_not(make_study, model)
 )
 def test_of_several_effects_a_prior_may_ask_for_one_alone(monkeypatch, named, not_borne, told):
     """A mass, a curvature and a relaxation brought a complete study back to a threefold EI."""
-    monkeypatch.setattr(prior_check, "_of_this_cable", lambda *_: True)
+    monkeypatch.setattr(prior_check, "_agrees_with_prior", lambda *_: True)
     monkeypatch.setattr(prior_check, "_without_prior", lambda fits: fits)
     monkeypatch.setattr(prior_check, "unconfirmed_without_prior", lambda *_: not_borne)
     final = SimpleNamespace(effects=tuple(KNOWN[n] for n in named))

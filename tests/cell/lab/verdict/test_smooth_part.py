@@ -19,10 +19,10 @@ from cell.lab.verdict.check_statistics import parameter_constancy_of
 from cell.lab.verdict.smooth_part import (
     FastPart,
     SmoothPart,
-    _of_trial,
+    _coordinates,
     _slow_level,
-    of_a_finer_model,
     smooth_part,
+    without_systematic_error,
 )
 from tests.cell.lab.conftest import LONG, coloured, fits_of
 from tools.worlds.breadth_world import World, hypercube
@@ -63,7 +63,7 @@ def test_a_wrong_models_smooth_residual_is_not_though_all_of_it_may_be(make_stud
 def test_what_a_coarse_mesh_leaves_is_not_taken_for_a_misfit(make_study):
     study = make_study(seed=2, noise_m=3e-5)
     prepared, fit = fitted(study, Solver(segments=12, step_s=2e-3))
-    coarse, finer = smooth_part(prepared, fit), of_a_finer_model(prepared, fit)
+    coarse, finer = smooth_part(prepared, fit), without_systematic_error(prepared, fit)
     assert coarse.excess > 0.5
     assert finer.excess < 0.4 * coarse.excess
 
@@ -71,7 +71,7 @@ def test_what_a_coarse_mesh_leaves_is_not_taken_for_a_misfit(make_study):
 def test_a_misfit_stays_one_on_a_finer_mesh(make_study):
     mass = library()["tip_mass"].active(mass_kg=1.2e-5)
     prepared, fit = fitted(make_study([mass], seed=8, noise_m=2e-4))
-    coarse, finer = smooth_part(prepared, fit), of_a_finer_model(prepared, fit)
+    coarse, finer = smooth_part(prepared, fit), without_systematic_error(prepared, fit)
     assert finer.excess == pytest.approx(coarse.excess, rel=0.1)
 
 
@@ -82,7 +82,7 @@ def test_nothing_is_said_where_the_study_states_its_noise(make_study):
 
 def test_the_chance_of_an_excess_allows_for_how_well_the_noise_is_known():
     sure, unsure = SmoothPart(630.0, 630, 18_000, 1e6), SmoothPart(630.0, 630, 18_000, 150.0)
-    assert sure.chance_of(0.2) < 1e-3 < 0.05 < unsure.chance_of(0.2)
+    assert sure.p_value_of(0.2) < 1e-3 < 0.05 < unsure.p_value_of(0.2)
     assert sure.p_value == pytest.approx(0.5, abs=0.01)
 
 
@@ -98,7 +98,7 @@ def test_the_level_of_slow_noise_is_seen_in_the_fast(told, lost):
         whiteners.append(Whitener(noise_m, Noise(1e-4, told)))
         white = whiteners[-1](np.zeros((1, *noise_m.shape)))[0]
         fast.append(FastPart.of(whiteners[-1], white))
-        slow.append(_of_trial(whiteners[-1], white[:, None])[:, 0])
+        slow.append(_coordinates(whiteners[-1], white[:, None])[:, 0])
     rest = NoiseModel(Noise(1e-4, told), 1e-3)
     level, dof = _slow_level(rest, fast, rest.slow_dof)
     seen = np.concatenate(slow)

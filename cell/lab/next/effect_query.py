@@ -1,4 +1,4 @@
-"""Effects given to `cell power`: which amplitude, and of which size."""
+"""Effects that a command asks about: amplitude, and size if stated."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cell.lab.fit.sensitivity import is_shape
 
 
 @dataclass(frozen=True)
-class AskedEffect:
+class EffectQuery:
     """One amplitude of an effect, with its other amplitudes off and a typical shape.
 
-    size  of the parameter; None = the smallest that is found
+    size  of the parameter; None = the smallest detectable one
     """
 
     effect: type[Effect]
@@ -35,70 +35,68 @@ class AskedEffect:
         return self.parameter.starts[0]
 
 
-def select_asked(
-    asked: Sequence[str], known: Sequence[str]
-) -> tuple[tuple[AskedEffect, ...], EffectSelection]:
+def effect_queries(
+    texts: Sequence[str], in_model: Sequence[str]
+) -> tuple[tuple[EffectQuery, ...], EffectSelection]:
     """Effects from texts NAME, NAME=SIZE or NAME.PARAMETER=SIZE, and the effects to try.
 
     NAME is of the library, or a user's own file.py.  SIZE is the parameter's value in its unit.
 
-    known    part of the model
-    raises   ValueError: unknown, of no such amplitude, known already, a size that is none or out of
-             bounds; EffectError; FileNotFoundError
+    in_model  effects of the model
+    raises    ValueError: unknown, of no such amplitude, in the model already, a size that is no
+              number or out of bounds; EffectError; FileNotFoundError
     """
-    found = tuple(_asked(given) for given in asked)
-    selection = select_effects(known)
-    for given, one in zip(asked, found, strict=True):
-        if one.effect.name in {e.name for e in selection.in_model}:
-            raise ValueError(
-                f"--try {given}: is part of the model by --with; leave one of them out"
-            )
-    own = {e.name: e for e in (a.effect for a in found) if e.name not in selection.candidates}
-    return found, EffectSelection(selection.in_model, selection.candidates | own)
+    queries = tuple(_query(text) for text in texts)
+    selection = select_effects(in_model)
+    for text, query in zip(texts, queries, strict=True):
+        if query.effect.name in {e.name for e in selection.in_model}:
+            raise ValueError(f"--try {text}: is part of the model by --with; leave one of them out")
+    own = {e.name: e for e in (a.effect for a in queries) if e.name not in selection.candidates}
+    return queries, EffectSelection(selection.in_model, selection.candidates | own)
 
 
-def _asked(given: str) -> AskedEffect:
-    name, equals, size = given.rpartition("=") if "=" in given else (given, "", "")
-    name, which = (name, "") if name.endswith(".py") else _split(name)
+def _query(text: str) -> EffectQuery:
+    name, equals, size = text.rpartition("=") if "=" in text else (text, "", "")
+    name, amplitude = (name, "") if name.endswith(".py") else _split(name)
     effect = effect_named(name)
-    parameter = _amplitude(given, effect, which)
-    return AskedEffect(effect, parameter, _size(given, parameter, size) if equals else None)
+    parameter = _amplitude(text, effect, amplitude)
+    return EffectQuery(effect, parameter, _size(text, parameter, size) if equals else None)
 
 
 def _split(name: str) -> tuple[str, str]:
     """NAME and PARAMETER of NAME.PARAMETER, of file.py.PARAMETER too."""
-    before, dot, which = name.rpartition(".")
-    return (before, which) if dot else (name, "")
+    before, dot, amplitude = name.rpartition(".")
+    return (before, amplitude) if dot else (name, "")
 
 
-def _amplitude(given: str, effect: type[Effect], which: str) -> Parameter:
+def _amplitude(text: str, effect: type[Effect], name: str) -> Parameter:
     amplitudes = [p for p in effect.parameters if p.amplitude]
-    chosen = [p for p in amplitudes if which in ("", p.name)]
+    chosen = [p for p in amplitudes if name in ("", p.name)]
     if not chosen:
         raise ValueError(
-            f"--try {given}: {effect.name} has no amplitude {which!r}; "
+            f"--try {text}: {effect.name} has no amplitude {name!r}; "
             f"give one of: {', '.join(p.name for p in amplitudes)}"
         )
     return chosen[0]
 
 
-def _size(given: str, parameter: Parameter, text: str) -> float:
+def _size(argument: str, parameter: Parameter, text: str) -> float:
     unit = after_number(parameter.unit)
     try:
         size = float(text)
     except ValueError:
         raise ValueError(
-            f"--try {given}: the size {text!r} is no number; give {parameter.name}"
+            f"--try {argument}: the size {text!r} is no number; give {parameter.name}"
             f"{unit and f' in{unit}'}"
         ) from None
     if not parameter.low <= size <= parameter.high:
         raise ValueError(
-            f"--try {given}: {parameter.name} = {size:g}{unit} is outside "
+            f"--try {argument}: {parameter.name} = {size:g}{unit} is outside "
             f"{parameter.low:g} … {parameter.high:g}{unit}; give a size within"
         )
     if size == parameter.default:
         raise ValueError(
-            f"--try {given}: {parameter.name} = {size:g}{unit} is none of the "
+            f"--try {argument}: {parameter.name} = {size:g}{unit} is none of the "
             f"effect; give another size, or leave it out for the smallest that is found"
         )
     return size

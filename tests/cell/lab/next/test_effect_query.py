@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.cable.effects import library
-from cell.lab.next.asked import AskedEffect, select_asked
+from cell.lab.next.effect_query import EffectQuery, effect_queries
 
 OWN = '''
 from cell.cable.effects import Effect, Parameter
@@ -28,8 +28,8 @@ class Wind(Effect):
 '''
 
 
-def one(given_: str) -> AskedEffect:
-    (asked,), _ = select_asked([given_], [])
+def one(given_: str) -> EffectQuery:
+    (asked,), _ = effect_queries([given_], [])
     return asked
 
 
@@ -72,21 +72,21 @@ def test_any_size_within_bounds_is_read(size: float) -> None:
 )
 def test_what_is_meant_wrongly_is_refused(given_: str, says: str) -> None:
     with pytest.raises(ValueError, match=f"{re.escape(given_)}: ") as caught:
-        select_asked([given_], [])
+        effect_queries([given_], [])
     assert says in str(caught.value)
 
 
 def test_an_effect_cannot_be_known_and_looked_for() -> None:
     with pytest.raises(ValueError, match="part of the model by --with"):
-        select_asked(["air_drag=1"], ["air_drag"])
+        effect_queries(["air_drag=1"], ["air_drag"])
 
 
 def test_an_effect_of_ones_own_is_among_those_looked_for(tmp_path: Path) -> None:
     file = tmp_path / "wind.py"
     file.write_text(OWN)
-    (asked,), selection = select_asked([f"{file}=0.5"], ["added_mass"])
+    (asked,), selection = effect_queries([f"{file}=0.5"], ["added_mass"])
     assert asked.size == 0.5
     assert selection.candidates["wind"] is asked.effect
     assert [e.name for e in selection.in_model] == ["added_mass"]
-    (other,), _ = select_asked([f"{file}.speed_m_per_s=0.5"], [])
+    (other,), _ = effect_queries([f"{file}.speed_m_per_s=0.5"], [])
     assert other.parameter.name == "speed_m_per_s"
