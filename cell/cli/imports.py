@@ -106,7 +106,7 @@ def import_(options: ImportOptions) -> None:
     Exit codes: 0; 1 if something of the proposal must be mended or filled in; 2 if a file or the
     mapping is wrong.
     """
-    if options.files[0].suffix.lower() in (".yaml", ".yml"):
+    if _is_mapping(options.files[0]):
         _write(options)
     elif options.files[0].suffix.lower() in _VIDEOS or options.files[0].is_dir():
         _import_film(options)
@@ -228,15 +228,9 @@ def _propose(options: ImportOptions) -> NoReturn:
 
 
 def _folder(options: ImportOptions) -> Path:
-    """Folder of the new study.  Raises ValueError: it is missing, or hands are not as many."""
+    """Folder of the new study.  Raises ValueError: it is missing."""
     if options.out is None:
         raise ValueError("--out is missing: name the folder of the new study, as -o my_study")
-    hands = options.hand or []
-    if hands and len(hands) != len(options.files):
-        raise ValueError(
-            f"--hand names {len(hands)} files for {len(options.files)} trials; give one for each, "
-            "in their order"
-        )
     return options.out
 
 
@@ -247,11 +241,8 @@ def _understood(
     from cell.study.imports.trial_files import read_trials
     from cell.study.imports.understand import understand
 
-    hands: list[Path | None] = [*(options.hand or []), *[None] * len(options.files)]
     progress("reading the files")
-    files = read_trials(
-        options.files, hands[: len(options.files)], lambda file: _relative(file, out)
-    )
+    files = read_trials(options.files, options.hand or [], lambda file: _relative(file, out))
     progress("what the data show")
     stated = Stated(
         out.name,
@@ -263,6 +254,13 @@ def _understood(
         options.rate,
     )
     return files, understand(files, stated)
+
+
+def _is_mapping(file: Path) -> bool:
+    """Whether a file is to be read as a mapping, not as measurements."""
+    from cell.study.imports.documents import is_yaml_data
+
+    return file.suffix.lower() in (".yaml", ".yml") and not is_yaml_data(file)
 
 
 def _relative(file: Path, folder: Path) -> str:

@@ -49,8 +49,11 @@ _CLOCK = re.compile(
     r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+|:\d{3})?)(?: ?([AP])M)?|(\d{1,2}):(\d{2}[.,]\d+)",
     re.IGNORECASE,
 )
-#: A date and a time; a date alone is none.
-_MOMENT = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[-+]\d{2}:?\d{2})?")
+#: A date and a time, as ISO 8601, databases and controllers (`DTL#`) write them; no date alone.
+_MOMENT = re.compile(
+    r"(?:[A-Z]{1,4}#)?(\d{4}-\d{2}-\d{2})[T _-](\d{2}:\d{2}:\d{2})(?:[.,](\d+))?"
+    r" ?(Z|[-+]\d{2}(?::?\d{2})?)?"
+)
 #: The same as spreadsheets write it: day.month.year, or month/day/year.
 _DATED = re.compile(
     r"(\d{1,2})([./])(\d{1,2})\2(\d{4}),? +"
@@ -62,7 +65,8 @@ _DATED = re.compile(
 def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
     """The number in a cell; nan where nothing was seen, None where something else stands.
 
-    A date with a time becomes seconds since 1970, a time of day seconds since midnight.
+    A date with a time becomes seconds since 1970, in UTC where no zone stands behind it; a time of
+    day seconds since midnight.
 
     grouped  thousands are parted by the mark that is not the decimal one; else only a number that
              cannot be read otherwise is such
@@ -80,7 +84,7 @@ def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
         hours, minutes, seconds = found.groups()[:3] if found[1] else ("0", found[5], found[6])
         whole = re.sub("[,:]", ".", seconds)
         return 3600.0 * _hour(hours, found[4]) + 60.0 * int(minutes) + float(whole)
-    return _time_of_day_s(text) if _MOMENT.fullmatch(text) else _dated_s(text)
+    return _moment_s(text) if _MOMENT.fullmatch(text) else _dated_s(text)
 
 
 def _hour(hours: str, half: str | None) -> int:
@@ -105,11 +109,14 @@ def is_number(cell: str, decimal: Decimal) -> bool:
     return value is not None and value == value
 
 
-def _time_of_day_s(text: str) -> float | None:
+def _moment_s(text: str) -> float | None:
+    """Seconds since 1970 of a date and a time; None = there is no such day or time."""
+    day, time, part, zone = _MOMENT.fullmatch(text).groups()  # type: ignore[union-attr]
     try:
-        return datetime.fromisoformat(text).timestamp()
+        whole = datetime.fromisoformat(f"{day}T{time}{zone or 'Z'}")
     except ValueError:
         return None
+    return whole.timestamp() + float(f"0.{part or 0}")
 
 
 def _dated_s(text: str) -> float | None:
@@ -179,10 +186,14 @@ ROW_NUMBER = "row number"
 
 @dataclass(frozen=True)
 class CapturedColumn:
-    """Name of a column, and the unit that the file states for it; empty = none."""
+    """Name of a column, and the unit that the file states for it; empty = none.
+
+    words  of a column of words: its numbers are places in these, from 0; empty = it has numbers
+    """
 
     name: str
     unit: str = ""
+    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -234,6 +245,10 @@ class Capture:
         if name not in self.names:
             raise self.error(0, f"has no column {name!r}{did_you_mean(name, self.names)}")
         return self.values[:, self.names.index(name)]
+
+    def words(self, name: str) -> tuple[str, ...]:
+        """Those of a column of words; empty = the column has numbers, or is not there."""
+        return next((c.words for c in self.columns if c.name == name), ())
 
     def at(self, names: tuple[str, ...] | list[str]) -> FloatArray:
         """(rows, names) of several.  Raises InputError."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.input_error import did_you_mean
 from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.shape import (
@@ -22,6 +23,9 @@ from cell.study.imports.units import METRES
 
 #: A point stays if it moves by less than this share of what the farthest moves.
 STAYS = 1e-3
+#: A point that is seen in less than this share of the rows that show a usual one is a false
+#: detection.
+_RARE = 0.15
 #: Values that programs write into all coordinates of what was not seen.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
 #: First words of names that programs give to what nobody named.
@@ -58,7 +62,7 @@ def choose(
     findings  those about it are added
     others    files of the other trials, which may lose markers that this one does not
     """
-    points = _same_dimension(capture, inside)
+    points = _same_dimension(capture, inside, findings)
     lost = _lost([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
     _check_distinct(capture, points, raw)
@@ -85,7 +89,7 @@ def choose(
             findings.guessed("hand", sentence)
     if hand is None and not hand_elsewhere:
         _check_several(capture, cable, others)
-        order = _from_end(cable, raw)
+        order = from_end(cable, raw)
         behind = _behind_jaws(order, raw, free_length_m)
         second = order[behind - 1] if behind else None
         hand, *order = order[behind:]
@@ -97,7 +101,7 @@ def choose(
             sentence += f"for {second.name!r} moves with it as one body, and from it to the tip "
             findings.guessed("hand", f"{sentence}the markers span the free length")
     elif hand is None:
-        order = _from_end(cable, raw)
+        order = from_end(cable, raw)
         if behind := _on_jaws(order, raw, free_length_m):
             body = ", ".join(repr(p.name) for p in order[:behind])
             sentence = f"{body}: on the gripper, for with them the markers span more than the cable"
@@ -111,6 +115,40 @@ def choose(
         f"from the gripper to the tip the markers are {names}, each nearest to the one before",
     )
     return Chosen(tuple(order), hand, second, lost)
+
+
+#: Chains of one cable are as long as each other to this share, and its pieces to this one.
+_SAME_SCALE, _SAME_PIECE, _FEWEST_STEPS = 0.05, 0.3, 3
+#: What is done with files that can be no trials of one mapping.
+_APART = "import each alone, with its own scale and the same arc_length_m and arc_length_std_m, "
+_APART += "then gather the studies: cell study A B -o both"
+
+
+def check_scales(captures: Sequence[Capture], chosen: Chosen, findings: ImportFindings) -> None:
+    """Add trials whose chain is longer or shorter than the first one's, as of another scale.
+
+    raises  InputError: a file has other columns than the first, which the mapping names
+    """
+    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
+    first, steps = captures[0], list[FloatArray]()
+    for capture in captures:
+        lacking = [c for p in points for c in p.columns if c not in capture.names]
+        if lacking:
+            known = did_you_mean(lacking[0], capture.names)
+            message = f"has no column {lacking[0]!r} as {first.path.name} has{known}; if it is of "
+            raise capture.error(0, f"{message}another program: {_APART}")
+        raw = np.stack([detected_places(capture, p.columns, chosen.lost) for p in points], axis=1)
+        steps.append(middle(np.linalg.norm(np.diff(raw, axis=1), axis=2)))
+        if len(steps[0]) < _FEWEST_STEPS:
+            continue
+        length, of_first = float(steps[-1].sum()), float(steps[0].sum())
+        piece = float(np.max(np.abs(steps[-1] / steps[0] - 1.0), initial=0.0))
+        other = abs(length / of_first - 1.0) > _SAME_SCALE or piece > _SAME_PIECE
+        if other:
+            sentence = f"{capture.path.name}: its markers span {length:.4g}, those of "
+            sentence += f"{first.path.name} {of_first:.4g}; their pieces differ by up to "
+            sentence += f"{piece:.0%}: if their scales differ, {_APART}"
+            findings.guessed("metres_per_unit", sentence)
 
 
 def _check_several(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
@@ -160,14 +198,29 @@ def detected_places(
     return raw
 
 
-def _same_dimension(capture: Capture, inside: Contents) -> list[Point]:
-    """Points with as many coordinates as most have.  Raises InputError: there are none."""
+def _same_dimension(capture: Capture, inside: Contents, findings: ImportFindings) -> list[Point]:
+    """Points with as many coordinates as most have.  Raises InputError: there are none.
+
+    Three numbers of a gripper among points of a plane are its place and perhaps its angle, if the
+    first two are next to these points.
+    """
     if not inside.points:
         message = "names no points: no two columns are the x and y of one; name them as tip_x and "
         raise capture.error(0, f"{message}tip_y. Columns: {', '.join(capture.names[:12])}")
     sizes = [len(p.columns) for p in inside.points]
     usual = max(set(sizes), key=sizes.count)
-    return [p for p in inside.points if len(p.columns) == usual]
+    points = [p for p in inside.points if len(p.columns) == usual]
+    for p in inside.points:
+        if not p.on_gripper or len(p.columns) <= usual or len(points) < 2:
+            continue
+        flat = replace(p, columns=p.columns[:usual])
+        places = middle(np.stack([capture.at(q.columns) for q in (flat, *points)], axis=1))
+        nearest = np.linalg.norm(places[1:] - places[0], axis=1).min()
+        if nearest < np.linalg.norm(np.ptp(places[1:], axis=0)):
+            points.append(flat)
+            sentence = f"of {p.name!r} {' and '.join(flat.columns)} are taken as its place, "
+            findings.guessed("hand", f"{sentence}for the other points have {usual} coordinates")
+    return points
 
 
 def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, ...]:
@@ -185,6 +238,13 @@ def _moving(
     cable: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
 ) -> tuple[list[Point], Point | None]:
     """Points that move, and the one that stays if it alone does and may be held."""
+    shown = {p.name: int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in cable}
+    usual = float(np.median(list(shown.values()))) if cable else 0.0
+    for p in cable:
+        if 0 < shown[p.name] < _RARE * usual:
+            sentence = f"{p.name!r} is seen in {shown[p.name]} of {len(raw[p.name])} rows, other "
+            findings.guessed("markers", f"{sentence}points in {usual:g}: it is left out")
+    cable = [p for p in cable if not 0 < shown[p.name] < _RARE * usual]
     reach = {p.name: reach_of(raw[p.name]) for p in cable}
     most = max(reach.values(), default=0.0)
     stay = [p for p in cable if reach[p.name] <= STAYS * most or not np.isfinite(reach[p.name])]
@@ -218,7 +278,7 @@ def _gripper_points(
     return hand, others[0] if others and not with_angle else None
 
 
-def _from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
+def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
     """Points in the order in which a cable passes through them at rest, from the end that rests
     first: there the gripper is."""
     places = _typical(cable, raw)

@@ -43,7 +43,7 @@ class Meaning:
 _TIME_WITH_UNIT = {"millis": "ms", "micros": "µs", "ipoc": "ms"}
 _TIME = frozenset(
     ("t", "time", "times", "zeit", "temps", "tiempo", "tempo", "timestamp", "stamp", "elapsed",
-     "timestamps", "stamps", "ts",
+     "timestamps", "stamps", "ts", "tm", "epoch",
      *_TIME_WITH_UNIT)
 )  # fmt: skip
 #: In longer names `t` is no time, but a transform.
@@ -56,7 +56,8 @@ _FRAME = frozenset(
 )  # fmt: skip
 _ANGLE = frozenset(
     ("angle", "theta", "winkel", "angulo", "rotation", "rot", "roll", "pitch", "yaw", "orientation",
-     "tilt", "heading", "alpha", "phi", "attitude", "neigung", "rpy", "rpys",
+     "tilt", "heading", "alpha", "phi", "attitude", "neigung", "rpy", "rpys", "incl",
+     "inclination", "inclinacion", "inclinaison", "inclinazione",
      "φ", "θ", "α")
 )  # fmt: skip
 #: Quantities that are no place.

@@ -14,15 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, CapturedColumn, is_number
+from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.contents import contents
-from cell.study.imports.delimited import captured
+from cell.study.imports.documents import AXES
 from cell.study.imports.groups import (
     LABELS,
     PART,
     WITHIN,
     FilePart,
     Tree,
+    apart_by_length,
     group_of,
     labels,
     split_part,
@@ -30,11 +31,11 @@ from cell.study.imports.groups import (
     trials_in,
     within,
 )
-from cell.study.imports.header import read_header
 from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
+from cell.study.imports.sheets import cell_text, read_sheet, trials_in_sheets
 from cell.study.imports.stated import OF_CABLE
-from cell.study.imports.text_rows import Row, without_summary
+from cell.study.imports.streams import streams_tree
 from cell.study.imports.units import METRES, split_unit, unit_of
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
@@ -43,14 +44,10 @@ _Read = TypeVar("_Read")
 #: Units that attributes of arrays state.
 Units = dict[tuple[str, ...], str]
 
-#: Coordinates of an array whose last dimension has so many: places, or quaternions.
-AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
 #: Names of arrays that hold a table's columns, of numbers that are rates, and of units.
 _OF_PANDAS = re.compile(r"values_block_\d+")
 _RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
 _UNIT = re.compile(r"(length_?)?units?")
-#: Rows of a sheet in which its table begins.
-_MOST_HEADER = 200
 #: Fewest numbers that are rows of a trial.
 _FEWEST_ROWS = 3
 
@@ -63,10 +60,13 @@ def read_container(path: Path) -> Capture:
     """
     file, part = split_part(path)
     if file.suffix.lower() == ".xlsx":
-        return _guarded(file, _sheet)
+        return _guarded(file, lambda f: read_sheet(f, part))
     tree, units = _guarded(file, _tree)
     if part:
-        return _of_part(path, part, tree, units)
+        made = _of_part(path, part, tree, units)
+        told = f"{path}: a stream of its own, by its topic, its clock or events around a trial"
+        in_streams = _TREES.get(file.suffix.lower()) is streams_tree
+        return replace(made, notes=(*made.notes, told)) if in_streams else made
     return _guarded(file, lambda f: capture_of(f, tree, units))
 
 
@@ -80,6 +80,8 @@ def parts_of(path: Path) -> list[FilePart]:
     raises  InputError: it cannot be read, or its groups cannot be told apart
     """
     file, part = split_part(path)
+    if file.suffix.lower() == ".xlsx" and not part:
+        return _guarded(file, trials_in_sheets)
     if part or not (file.suffix.lower() in _TREES or is_line_protocol(file)):
         return []
     tree, units = _guarded(file, _tree)
@@ -91,12 +93,19 @@ def parts_of(path: Path) -> list[FilePart]:
             return False
         return bool(contents(made).points)
 
-    return trials_in(tree, shows_points) or []
+    found = trials_in(tree, shows_points)
+    if found == []:  # markers and gripper may stand beside each other, each with its times
+        found = trials_in(apart_by_length(tree), shows_points)
+        found = found if found and all(trial.gripper for trial in found) else []
+    return found or []
 
 
 def _of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
     """Columns of the arrays of one group.  Raises InputError: there is none."""
     group = group_of(tree, part)
+    if group is None:
+        tree = apart_by_length(tree)
+        group = group_of(tree, part)
     if group is None:
         there = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
         raise InputError.at(path, f"has no part {part!r} with times; it has {there}")
@@ -126,66 +135,6 @@ def _guarded(path: Path, read: Callable[[Path], _Read]) -> _Read:
     except Exception as error:  # of a damaged file its reader raises what it likes
         message = f"is damaged, or is no {path.suffix.lower()} file ({error}); save it again"
         raise InputError.at(path, message) from error
-
-
-def _sheet(path: Path) -> Capture:
-    """The sheet whose table shows the most points; the first of those that show as many.
-
-    raises  InputError: none holds a table, or the first complaint if none can be read
-    """
-    from openpyxl import load_workbook
-
-    book = load_workbook(path, read_only=True, data_only=True)
-    tables: dict[str, Capture] = {}
-    problems: list[InputError] = []
-    try:
-        for page in book.worksheets:
-            each = enumerate(page.iter_rows(values_only=True), 1)
-            rows = [Row(line, tuple(_word(cell) for cell in cells)) for line, cells in each]
-            try:
-                made = _table_of_sheet(path, [row for row in rows if not row.blank])
-            except InputError as error:
-                problems.append(error)
-                continue
-            tables |= {} if made is None else {page.title: made}
-    finally:
-        book.close()
-    if tables:
-        best = max(tables, key=lambda title: len(contents(tables[title]).points))
-        rest = ", ".join(repr(title) for title in tables if title != best)
-        notes = [f"{path}: sheet {best!r} is read, not {rest}"] if rest else []
-        return replace(tables[best], notes=(*tables[best].notes, *notes))
-    if problems:
-        raise problems[0]
-    raise InputError.at(path, "no sheet holds rows of numbers; give a line of names above them")
-
-
-def _table_of_sheet(path: Path, rows: Sequence[Row]) -> Capture | None:
-    """The table that begins in the first row with two numbers, and no more other words."""
-    first = next((i for i, row in enumerate(rows[:_MOST_HEADER]) if _begins_table(row)), None)
-    if first is None:
-        return None
-    width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
-    for row in rows[:first]:
-        named = [i for i, cell in enumerate(row.cells, 1) if cell]
-        width = max(width, len(named) if len(named) > 2 else 0)
-    above = [(row.line, row.cells[:width]) for row in rows[:first]]
-    table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
-    table, below = without_summary(path, table, ".")
-    header = read_header(path, above, table[0].cells)
-    made, labels = captured(path, header, table, ".")
-    return pivoted(replace(made, notes=(*made.notes, *below)), labels)
-
-
-def _begins_table(row: Row) -> bool:
-    return row.is_data(".") and sum(is_number(cell, ".") for cell in row.cells) >= 2
-
-
-def _word(cell: object) -> str:
-    """A cell as text that `number` reads."""
-    if cell is None:
-        return ""
-    return str(int(cell)) if isinstance(cell, bool) else str(cell).strip()
 
 
 def _mat(path: Path) -> tuple[Tree, Units]:
@@ -230,7 +179,7 @@ def _series(values: Sequence[object]) -> NDArray[Any]:
     if all(v is None or isinstance(v, bool | int | float | datetime) for v in values):
         seconds = [v.timestamp() if isinstance(v, datetime) else v for v in values]
         return np.array(seconds, dtype=np.float64)
-    return np.array([_word(v) for v in values], dtype=object)
+    return np.array([cell_text(v) for v in values], dtype=object)
 
 
 def _npy(path: Path) -> tuple[Tree, Units]:
@@ -244,8 +193,17 @@ def _npy(path: Path) -> tuple[Tree, Units]:
 
 
 def _npz(path: Path) -> tuple[Tree, Units]:
+    """Arrays of numbers and words; those of Python objects, which run code when read, are empty."""
+    found: dict[str, Any] = {}
     with np.load(path, allow_pickle=False) as store:
-        return flat({name: store[name] for name in store.files}), {}
+        for name in store.files:
+            try:
+                found[name] = store[name]
+            except ValueError as error:
+                if not str(error).startswith("Object arrays"):
+                    raise
+                found[name] = np.empty(0, dtype=object)
+    return flat(found), {}
 
 
 def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
@@ -331,7 +289,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     rows = max(lengths, key=lambda n: (lengths[n], n))
     if rows > MAX_ROWS:
         raise InputError.at(path, f"has {rows} rows, limit {MAX_ROWS}; cut it to the motion")
-    words = {key: [_word(v) for v in value.ravel()] for key, value in arrays.items()
+    words = {key: [cell_text(v) for v in value.ravel()] for key, value in arrays.items()
              if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
     _check_one_trial(path, tree)
     columns: list[CapturedColumn] = []
@@ -347,6 +305,11 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
             columns.append(CapturedColumn(name, units.get(key, "")))
             series.append(column)
     notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
+    notes += [
+        f"{path}: {'/'.join(key)} holds no numbers but objects of Python; it is not read"
+        for key, value in arrays.items()
+        if value.dtype == object and not value.size
+    ]
     made = Capture(
         path, tuple(_distinct(columns)), np.column_stack(series), np.arange(1, rows + 1),
         _rate_hz(arrays), _unit(words), notes=tuple(notes), of_cable=_of_cable(arrays),
@@ -447,7 +410,8 @@ def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
 
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
     ".mat": _mat, ".parquet": _parquet, ".npy": _npy, ".npz": _npz, ".h5": _hdf5_tree,
-    ".hdf5": _hdf5_tree, ".feather": _feather, ".arrow": _feather,
+    ".hdf5": _hdf5_tree, ".feather": _feather, ".arrow": _feather, ".json": streams_tree,
+    ".jsonl": streams_tree, ".ndjson": streams_tree,
 }  # fmt: skip
 #: Endings of names of files of arrays.
 CONTAINERS = (".xlsx", *_TREES)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.study.imports.capture import Capture
+from cell.cable.arrays import FloatArray
+from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
 from cell.study.imports.column_names import (
     ColumnKind,
     Meaning,
@@ -14,7 +16,7 @@ from cell.study.imports.column_names import (
     meaning,
     with_axes_at_ends,
 )
-from cell.study.imports.units import RADIANS
+from cell.study.imports.units import RADIANS, SECONDS
 
 #: Words for what holds a cable.
 HAND = frozenset(
@@ -25,8 +27,14 @@ HAND = frozenset(
 )  # fmt: skip
 
 
+#: Rows a second of which films and logs are.
+FILM_RATES_HZ = (2.0, 20_000.0)
+#: The years 1998 … 2100, in s since 1970.
+_OUR_TIMES_S = 0.9e9, 4.1e9
 #: Last words of a displacement from where a point was at first, such as dX.
 _DISPLACEMENT = frozenset(("d", "delta", "displacement"))
+#: Steps back of a column of times in disorder, and not of other numbers, at most.
+_MOST_BACK = 0.25
 #: Frames of a film to a row that is there, at most.
 _GAPS = 1.5
 
@@ -87,11 +95,14 @@ class Contents:
 def contents(capture: Capture) -> Contents:
     """Sort the columns of a file by what their names and units say."""
     said = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
+    if all(m.kind is not ColumnKind.TIME for _, m in said):
+        said = [_since_1970(capture, n, m) for n, m in said]
     times = [(n, m) for n, m in said if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
     frames = [(n, m) for n, m in said if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
     rising.sort(key=lambda found: "header" not in found[1].group.split())  # stamped by its sensor
-    chosen = (rising or times or frames)[:1]
+    counted = [(n, m) for n, m in frames if _rises(capture, n)]
+    chosen = (rising or counted or times or frames)[:1]
     if not chosen and said and _counts_rows(capture, *said[0]):
         chosen = frames = [(said[0][0], replace(said[0][1], kind=ColumnKind.FRAME))]
     points, others = _points(capture, said)
@@ -100,8 +111,10 @@ def contents(capture: Capture) -> Contents:
     angles = tuple(
         (n, m) for n, m in said if m.kind is ColumnKind.ANGLE and n not in of_quaternions
     )
-    encoders = tuple((n, m) for n, m in said if m.kind is ColumnKind.ENCODER)
-    accelerations = _accelerations(said, {p.name for p in points if not p.on_gripper})
+    markers = {p.name for p in points if not p.on_gripper}
+    encoders = tuple((n, m) for n, m in said if m.kind is ColumnKind.ENCODER
+                     and not any(n.startswith(f"{name} ") for name in markers))  # fmt: skip
+    accelerations = _accelerations(said, markers)
     if any(p.on_gripper for p in points):  # then an encoder can only tell how it is turned
         angles += tuple((n, m) for n, m in encoders if m.unit in RADIANS)
     used = {n for n, _ in encoders + accelerations}
@@ -118,6 +131,75 @@ def contents(capture: Capture) -> Contents:
         accelerations,
         tuple(n for n, _ in said if n not in used) + tuple(others),
     )
+
+
+def epoch_unit(times: FloatArray) -> str:
+    """Unit of times (rows,) that count from 1970, by their size; empty = they do not."""
+    if len(times) < 2 or not np.isfinite(times).all() or not times[-1] > times[0]:
+        return ""
+    step = float(times[-1] - times[0]) / (len(times) - 1)
+    (early_s, late_s), (low_hz, high_hz) = _OUR_TIMES_S, FILM_RATES_HZ
+    for name in ("s", "ms", "µs", "ns"):
+        unit = SECONDS[name]
+        if early_s < times[0] * unit < late_s and low_hz <= 1.0 / (step * unit) <= high_hz:
+            return name
+    return ""
+
+
+def on_one_clock(inside: Contents, capture: Capture, other: Contents, of: Capture) -> Contents:
+    """The content of a file, with its times since 1970 where another file has such alone."""
+    if None in (inside.time, other.time) or not epoch_unit(of.column(other.time or "")):
+        return inside
+    times = [c for c in capture.columns if meaning(c).kind is ColumnKind.TIME]
+    since = [c for c in times if epoch_unit(capture.column(c.name))]
+    if not since or any(c.name == inside.time for c in since):
+        return inside
+    return replace(inside, time=since[0].name, time_unit=meaning(since[0]).unit, counts=False)
+
+
+def _since_1970(capture: Capture, name: str, said: Meaning) -> tuple[str, Meaning]:
+    """A column of times since 1970, whatever its name says."""
+    of_no_kind = said.kind in (ColumnKind.FRAME, ColumnKind.OTHER) and not said.unit
+    if of_no_kind and epoch_unit(capture.column(name)):
+        said = replace(said, kind=ColumnKind.TIME)
+    return name, said
+
+
+def with_names(
+    capture: Capture, wanted: Sequence[str], time: str | None
+) -> tuple[Capture, dict[str, str]]:
+    """The file with these names for columns that say the same by others, and their own names.
+
+    So `Tip/0/X` and `Tip X`, which several programs write of the same point.
+
+    time  name of the column of times; None = it keeps its own
+    """
+    lacking = [n for n in wanted if n not in capture.names]
+    free = [c for c in capture.columns if c.name not in wanted]
+    meant = with_axes_at_ends([(n, meaning(CapturedColumn(n))) for n in wanted])
+    there = with_axes_at_ends([(c.name, meaning(c)) for c in free])
+    others: dict[str, str] = {}
+    for name, said in meant:
+        alike = [n for n, m in there if _same_thing(m, said)]
+        if name in lacking and len(alike) == 1:
+            others[name] = alike[0]
+    inside = contents(capture)
+    if time is not None and inside.time and time not in (ROW_NUMBER, *capture.names):
+        said = meaning(CapturedColumn(time))
+        if (said.unit, said.kind is ColumnKind.TIME) == (inside.time_unit, not inside.counts):
+            others[time] = inside.time
+    if len(set(others.values())) < len(others):
+        return capture, {}
+    names = {own: name for name, own in others.items()}
+    columns = tuple(replace(c, name=names.get(c.name, c.name)) for c in capture.columns)
+    return replace(capture, columns=columns), others
+
+
+def _same_thing(one: Meaning, other: Meaning) -> bool:
+    """Whether two names mean the same coordinate of one point or body."""
+    groups = [" ".join(w for w in m.group.split() if w != "0") for m in (one, other)]
+    same = (one.kind, one.axis, one.unit) == (other.kind, other.axis, other.unit)
+    return same and groups[0] == groups[1] and bool(one.axis and groups[0])
 
 
 def without_unsure(capture: Capture) -> Capture:
@@ -175,7 +257,9 @@ def _holds_any(capture: Capture, name: str) -> bool:
 
 def _rises(capture: Capture, name: str) -> bool:
     values = capture.column(name)
-    return bool(np.isfinite(values).all() and len(values) > 1 and values[-1] > values[0])
+    steps = np.diff(values)
+    rises = len(steps) > 0 and np.isfinite(values).all() and values[-1] > values[0]
+    return bool(rises and np.mean(steps < 0.0) < _MOST_BACK)
 
 
 def _points(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as Dictionary
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -19,6 +20,7 @@ from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
 from cell.study.imports.capture import Capture
+from cell.study.imports.contents import with_names
 from cell.study.imports.gripper_path import GripperPath, gripper_path
 from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.joined_files import joined
@@ -245,7 +247,9 @@ def _measured(
 ) -> _ImportedTrial:
     """One trial, with the lines and names of its file."""
     mapping = read.mapping
-    capture = rows_of(captures[entry.file], entry.only)
+    columns = [name for m in mapping.markers for name in m.columns]
+    columns += [] if entry.hand_file else mapping.hand.columns or []
+    capture = _named(rows_of(captures[entry.file], entry.only), columns, mapping.time)
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
     scale = mapping.metres_per_unit or 1.0
@@ -273,7 +277,15 @@ def _measured(
     known = [a[seen] for a in across if a is not None]
     deep = np.stack(known, axis=1) if len(known) == len(across) else None
     told = path.note, other_rate(capture, mapping.time)
-    return _ImportedTrial(trial, capture, seen, deep, tuple(note for note in told if note))
+    notes = (*capture.notes, *(note for note in told if note))
+    return _ImportedTrial(trial, capture, seen, deep, notes)
+
+
+def _named(capture: Capture, columns: Sequence[str | None], time: TimeSection) -> Capture:
+    """The file with the mapping's names of its times and of columns of points, and notes on it."""
+    named, others = with_names(capture, [n for n in columns if n is not None], time.column)
+    told = [f"{capture.path}: column {own!r} is taken as {name!r}" for name, own in others.items()]
+    return replace(named, notes=tuple(told))
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:
@@ -323,8 +335,9 @@ def _motion(
     raises  InputError: it is missing somewhere, or on no clock
     """
     mapping, hand = read.mapping, read.mapping.hand
-    capture = rows_of(captures[entry.hand_file or entry.file], entry.only)
-    t_s = times_s(capture, hand.time or mapping.time) - zero_s + entry.clock_offset_s
+    columns, time = list(hand.columns or ()), hand.time or mapping.time
+    capture = _named(rows_of(captures[entry.hand_file or entry.file], entry.only), columns, time)
+    t_s = times_s(capture, time) - zero_s + entry.clock_offset_s
     path = gripper_path(read, entry, capture, t_s)
     xy_m, angle_rad = path.xy_m, path.angle_rad
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)

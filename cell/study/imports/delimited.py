@@ -25,26 +25,33 @@ from cell.study.imports.capture import (
     number,
 )
 from cell.study.imports.channels import by_channels
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
+    on_one_clock,
     pivoted,
     point_by_point,
     same_frames,
     stacked,
+    trials_of_blocks,
 )
 from cell.study.imports.remarks import without_units
 from cell.study.imports.text_content import text_of
 from cell.study.imports.text_rows import (
     Row,
+    bare,
     goes_on,
+    is_like,
     split_line,
     split_lines,
+    title_of,
     upright,
     without_comments,
     without_reception,
     without_repeats,
+    without_row_names,
 )
 from cell.study.imports.vector_cells import with_single_cells
 from cell.study.table import MAX_ROWS
@@ -69,7 +76,8 @@ _MOST_HEADER = 200
 def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     """Read a table, wide (a row per time) or long (a row per time and marker).
 
-    Of several tables in one file, parted by blank lines, the one with the most points is taken.
+    Of several tables in one file, parted by blank lines, the one with the most points is taken,
+    unless they go together.
 
     form    separator and decimal mark; None = found from the text
     raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
@@ -182,9 +190,11 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
     parts: list[tuple[Capture, dict[str, list[str]]]] = []
     read: list[Capture] = []
     problems: list[InputError] = []
+    titles = dict[int, str]()
     for rows in _with_names_of_first(path, tables, form):
         try:
             parts.append(_raw_table(path, rows, form))
+            titles[int(parts[-1][0].lines[0])] = title_of(rows, form.decimal)
         except InputError as error:
             problems.append(error)
     for part, labels in stacked(parts):
@@ -194,7 +204,7 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
             problems.append(error)
     if not read:
         raise problems[0]
-    if (made := point_by_point(read)) is not None:
+    if (made := trials_of_blocks(read, titles) or point_by_point(read)) is not None:
         return made
     best = max(read, key=lambda table: len(contents(table).points))
     for other in read:
@@ -202,6 +212,8 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
             continue
         if same_frames(best, other):
             best = joined(best, other)
+        elif (both := on_one_clock(best, other)) is not None:
+            best = both
         else:
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
             best = replace(best, notes=(*best.notes, note))
@@ -219,7 +231,7 @@ def _with_names_of_first(
     try:
         for rows in tables:
             first, last = _block(path, rows, form)
-            above = [_bare(row) for row in rows[:first] if not row.blank]
+            above = [bare(row) for row in rows[:first] if not row.blank]
             blocks.append((above, rows[first:last]))
     except InputError:
         return tables
@@ -230,17 +242,12 @@ def _with_names_of_first(
     if titles is None or not others or not alike:
         return tables
     named = []
+    turns = any(meaning(CapturedColumn(t)).kind is ColumnKind.ANGLE for t in titles)
     for names, rows in blocks:
         point = " ".join(names[-1])
-        cells = (titles[0], *(f"{point} {title}" for title in titles[1:]))
-        named.append([Row(rows[0].line - 1, cells), *rows])
+        cells = (titles[0], *(t if turns else f"{point} {t}" for t in titles[1:]))
+        named.append([Row(rows[0].line - 2, (point,)), Row(rows[0].line - 1, cells), *rows])
     return named
-
-
-def _bare(row: Row) -> list[str]:
-    """Cells of a line without the mark of a remark."""
-    words = [cell.strip().lstrip("#%").strip() for cell in row.cells]
-    return [word for word in words if word]
 
 
 def _raw_table(
@@ -255,6 +262,9 @@ def _raw_table(
     rows, words = without_comments(path, rows, form.decimal)
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
+    if form.separator != ",":  # where it may be a decimal mark
+        table, numbered = without_row_names(path, rows[:first], table)
+        again += numbered
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
     made, labels = captured(path, header, table, form.decimal)
     if below is not None:
@@ -347,6 +357,8 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     raises  InputError: there is none, or a row in it is something else
     """
     data = [len(r.cells) >= 2 and r.is_data(form.decimal) for r in rows]
+    for i in range(1, len(rows)):  # of a row of words, too, whose numbers are all missing
+        data[i] = data[i] or (data[i - 1] and is_like(rows[i], rows[i - 1], form.decimal))
     widths = Counter(len(r.cells) for r, is_one in zip(rows, data, strict=True) if is_one)
     if not widths:
         raise InputError.at(

@@ -33,6 +33,10 @@ ACCELERATIONS = {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665}
 _WITHIN = 0.1
 #: Rows in which a gripper rests at first.
 _REST = 20
+#: Words of a pose that was only commanded.
+_COMMANDED = frozenset(
+    ("target", "commanded", "command", "cmd", "desired", "setpoint", "reference", "soll", "rsol")
+)
 #: Columns that are listed for a person to choose the gripper's.
 _LISTED = 24
 
@@ -174,7 +178,7 @@ def gripper_file(capture: Capture) -> GripperFile:
     """The content of a file of the gripper."""
     inside = contents(capture)
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
-    named.sort(key=lambda p: "actual" not in p.name.split())  # before what was only commanded
+    named.sort(key=lambda p: (not _COMMANDED.isdisjoint(p.name.split()), "actual" not in p.name))
     if not named:
         return GripperFile(capture, inside, None, None)
     return GripperFile(
@@ -295,6 +299,9 @@ def section_of_file(
     if len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
         own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
         findings.guessed("hand.axes", sentence)
+    elif nearest is not None and (own := _reversed_axes(axes, nearest)) is not None:
+        sentence = "the gripper's file has its own axes: they are turned round, so that it and the "
+        findings.guessed("hand.axes", f"{sentence}marker next to it move the same way")
     unit, of_unit = _unit_of_place(point, scale, nearest)
     findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (told, of_unit)]
     angle = clamp_angle(capture, inside, own or axes, root, findings, point.name)
@@ -341,6 +348,25 @@ def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
         return False
     across = nearest.hand @ np.cross(axes.right, axes.up)
     return reach(across[:, None]) > _ACROSS * reach(nearest.hand)
+
+
+def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | None:
+    """The markers' axes, turned round where the gripper goes the other way along one than the
+    marker next to it, as of an image whose rows count down; None = both go the same way."""
+    plane = np.array([axes.right, axes.up])
+    goes = []
+    for path in (nearest.hand @ plane.T, nearest.xy_m):
+        seen = path[np.isfinite(path).all(axis=1)]
+        if len(seen) < 2 or not reach(seen) > 0.0:
+            return None
+        goes.append((seen[-1] - seen[0]) / reach(seen))
+    hand, marker = goes
+    other = (np.abs(hand) > _RISES_ALIKE) & (np.abs(hand + marker) < _RISES_ALIKE)
+    alike = np.abs(np.where(other, -hand, hand) - marker) < _RISES_ALIKE
+    if not other.any() or not alike.all():
+        return None
+    right, up = np.where(other[:, None], -plane, plane) + 0.0
+    return AxesSection(right=right.tolist(), up=up.tolist())
 
 
 def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:

@@ -50,14 +50,39 @@ def with_part(path: Path, part: str) -> Path:
 
 def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
     """Groups that hold a series of times."""
-    found = [
-        key[:-1]
+    return list(dict.fromkeys(key[:-1] for key in _times(tree)))
+
+
+def _times(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
+    """Series of times by their path."""
+    return [
+        key
         for key, values in tree.items()
         if values.dtype.kind in "fiu"
         and np.squeeze(values).ndim == 1
         and meaning(CapturedColumn(key[-1])).kind is ColumnKind.TIME
     ]
-    return list(dict.fromkeys(found))
+
+
+def apart_by_length(tree: Tree) -> Tree:
+    """The arrays of groups with several times, each in a group with the times of its length.
+
+    It is called after what holds the cable, where an array in it is, else after its times.
+    """
+    times: dict[tuple[str, ...], dict[int, str]] = {}
+    for *group, name in _times(tree):
+        times.setdefault(tuple(group), {}).setdefault(tree[*group, name].size, name)
+    found: Tree = {}
+    for (*group, name), values in tree.items():
+        of_length = times.get(tuple(group), {})
+        length = next((n for n in values.shape if n in of_length), None)
+        if len(of_length) < 2 or length is None:
+            found[*group, name] = values
+            continue
+        beside = (k[-1] for k, v in tree.items() if k[:-1] == tuple(group) and length in v.shape)
+        title = next((n for n in beside if HAND & _words((n,))), of_length[length])
+        found[*group, title, name] = values
+    return found
 
 
 def within(tree: Tree, group: tuple[str, ...]) -> Tree:
@@ -68,8 +93,13 @@ def within(tree: Tree, group: tuple[str, ...]) -> Tree:
     groups = time_groups(tree)
     inner = [g for g in groups if g != group and g[: len(group)] == group]
     hand = [name for name in group[-1:] if HAND & _words((name,))]
+
+    def own_name(key: tuple[str, ...]) -> tuple[str, ...]:
+        repeated = HAND & _words(group[-1:]) & _words(key[-1:])
+        return (*(() if repeated else hand), *key[len(group) :])
+
     own = {
-        (*hand, *key[len(group) :]): values
+        own_name(key): values
         for key, values in tree.items()
         if key[: len(group)] == group and not any(key[: len(g)] == g for g in inner)
     }

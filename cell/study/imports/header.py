@@ -18,6 +18,7 @@ Lines = Sequence[tuple[int, tuple[str, ...]]]
 
 #: Rows of a header that say what kind of thing a column is or who its parent is, not its name.
 _NO_NAMES = frozenset(("type", "id", "parent"))
+_AXES = frozenset(("", "x", "y", "z"))
 _RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|frequency|freq|fps)\b")
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
 #: Characters of a unit that is not known here.
@@ -53,7 +54,9 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
     naming = list(rows)
     for at in reversed(range(len(naming))):
         if (found := _units_row(naming[at][1], width)) is not None:
-            units, naming = found, naming[:at] or naming[at + 1 :]  # below it stands what measured
+            below = naming[at + 1 :]  # what measured, unless it is the axes
+            axes = [row for row in below if _AXES.issuperset(c.strip().lower() for c in row[1])]
+            units, naming = found, naming[:at] + axes if naming[:at] else below
             break
     names, line = _names(path, naming, row)
     names = _with_name_of_index(naming, names)
@@ -106,7 +109,8 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
         if fitted is None or (not parts and len(cells) < width):
             break
         words = [c.strip() for c in fitted]
-        if any(w.lower() in _NO_NAMES for w in words[:2]):
+        told_apart = not parts and len(set(words)) == width  # by a name such as `id` among others
+        if any(w.lower() in _NO_NAMES for w in words[:2]) and not told_apart:
             kinds.append(words)
             continue
         if apart and words[0]:  # no line of groups, which is empty over the frames' numbers

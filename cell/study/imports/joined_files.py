@@ -3,78 +3,122 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, contents
 
 #: Times of one recording differ by less than this share of a row; fewest points of a motion.
 _SAME_TIME = 0.01
 _FEWEST = 3
+#: Times of all files are fewer than so many times those of one: others lose frames.
+_MOST_LOST = 2
 
 
 def joined(captures: Sequence[Capture]) -> Capture:
-    """The columns of files with the same times; those of one name are called after their files.
+    """The columns of files of one recording; those of one name are called after their files.
 
-    raises  InputError: a file has other times than the first
+    A time that a file has not is one at which its points are not seen.
+
+    raises  InputError: a file has times between those of the others
     """
     first, labels = captures[0], _labels([c.path for c in captures])
-    time = contents(first).time
+    time = contents(first).time or ""
     each = [name for c in captures for name in c.names if name != time]
-    columns, values, notes = [], [], list[str]()
-    for capture, label in zip(captures, labels, strict=True):
-        if not same_times(first, capture):
+    times, places = _grid([c.column(time) for c in captures])
+    columns, values, notes = [first.columns[first.names.index(time)]], [times], list[str]()
+    lines = np.full(len(times), first.lines[-1], dtype=np.intp)
+    lines[places[0]] = first.lines
+    for capture, label, place in zip(captures, labels, places, strict=True):
+        if not on_one_grid([first, capture]):
             message = f"has not the times of {first.path.name}, with which it is to be joined; "
             raise capture.error(0, f"{message}give files of one recording")
-        for i, column in enumerate(capture.columns):
-            if column.name == time and capture is not first:
+        for column, series in zip(capture.columns, capture.values.T, strict=True):
+            if column.name == time:
                 continue
-            shared = column.name != time and each.count(column.name) > 1
+            shared = each.count(column.name) > 1
             columns.append(replace(column, name=f"{label} {column.name}") if shared else column)
-            values.append(capture.values[:, i])
+            values.append(np.full(len(times), np.nan))
+            values[-1][place] = series
         notes += capture.notes
     return replace(
-        first, columns=tuple(columns), values=np.column_stack(values), notes=tuple(notes)
-    )
+        first, columns=tuple(columns), values=np.column_stack(values), lines=lines,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def on_one_grid(captures: Sequence[Capture]) -> bool:
+    """Whether files have a column of times of one name, and no time between those of another."""
+    names = {contents(c).time for c in captures}
+    name = next(iter(names))
+    if len(names) > 1 or name is None:
+        return False
+    each = [c.column(name) for c in captures]
+    rise = all(np.isfinite(t).all() and np.all(np.diff(t) > 0.0) and len(t) > 1 for t in each)
+    if not rise:
+        return False
+    step = min(float(np.median(np.diff(t))) for t in each)
+    times, _ = _grid(each)
+    return bool(np.diff(times).min() > 0.5 * step and len(times) < _MOST_LOST * min(map(len, each)))
+
+
+def _grid(each: Sequence[FloatArray]) -> tuple[FloatArray, list[NDArray[np.intp]]]:
+    """Times of all, those of one row once, and the places of each among them."""
+    every = np.sort(np.concatenate(each))
+    step = float(np.median(np.diff(each[0]))) if len(each[0]) > 1 else 0.0
+    times = every[np.append(True, np.diff(every) > _SAME_TIME * abs(step))]
+    places = [np.searchsorted(times, t, side="right") - 1 for t in each]
+    return times, places
 
 
 def same_times(one: Capture, other: Capture) -> bool:
     """Whether two files have a row at each of the same times, in a column of the same name."""
-    name = contents(one).time
-    if name is None or name != contents(other).time or len(one.values) != len(other.values):
-        return False
-    t, u = one.column(name), other.column(name)
-    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    return bool(np.allclose(t, u, rtol=0.0, atol=_SAME_TIME * abs(step)))
+    return len(one.values) == len(other.values) and on_one_grid([one, other])
 
 
-def motions(captures: Sequence[Capture]) -> list[list[int]]:
+def motions(captures: Sequence[Capture], gripper_elsewhere: bool = False) -> list[list[int]]:
     """Places of the files that show one motion together, if each shows one point of it; else empty.
 
-    Several motions have names of their own at the beginning or the end of their files' names, and
-    the points' names at the other end.
+    Several motions have folders, or words of their own at the beginning or the end of their files'
+    names, and the points' words at the other end.  A point is named after the gripper, unless this
+    is in other files.
     """
     inside = [contents(c) for c in captures]
     single = all(len(i.points) == 1 and not i.has_gripper_sensor for i in inside)
     if len(captures) < _FEWEST or not single:
         return []
-    words = [_words(c.path) for c in captures]
-    for of_motion, of_point in ((slice(None, -1), slice(-1, None)), (slice(1, None), slice(1))):
+    words, best = [tuple(_words(c.path)) for c in captures], list[list[int]]()
+    for of_motion, of_point in _splits([c.path for c in captures], words):
         groups: dict[tuple[str, ...], list[int]] = {}
-        for i, found in enumerate(words):
-            groups.setdefault(tuple(found[of_motion]), []).append(i)
-        points = [sorted(words[i][of_point] for i in of) for of in groups.values()]
-        named = any(HAND.intersection(label) for label in points[0])
-        alike = all(p == points[0] for p in points) and len(points[0]) >= _FEWEST
-        together = all(same_times(captures[of[0]], captures[i])
-                       for of in groups.values() for i in of)  # fmt: skip
-        if named and alike and together:
-            return list(groups.values())
-    return []
+        for i, motion in enumerate(of_motion):
+            groups.setdefault(motion, []).append(i)
+        points = [sorted(of_point[i] for i in of) for of in groups.values()]
+        named = gripper_elsewhere or any(HAND.intersection(label) for label in points[0])
+        alike = all(p == points[0] for p in points) and len(set(points[0])) >= _FEWEST
+        if len(groups) > len(best) and named and alike and all(
+            on_one_grid([captures[i] for i in of]) for of in groups.values()
+        ):  # fmt: skip
+            best = list(groups.values())
+    return best
+
+
+_Words = tuple[str, ...]
+
+
+def _splits(
+    paths: Sequence[Path], words: Sequence[_Words]
+) -> Iterator[tuple[list[_Words], list[_Words]]]:
+    """Words of the motion and of the point of each file, as they may be told apart."""
+    yield [(str(path.parent),) for path in paths], list(words)
+    for count in range(min(map(len, words))):
+        yield [w[:count] for w in words], [w[count:] for w in words]
+        yield [w[len(w) - count :] for w in words], [w[: len(w) - count] for w in words]
 
 
 def tells_only_turns(hand: Capture, markers: Capture) -> bool:

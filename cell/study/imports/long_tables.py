@@ -11,8 +11,15 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.contents import contents
-from cell.study.imports.row_trials import rows_of, trial_column
+from cell.study.imports.contents import HAND, contents
+from cell.study.imports.row_trials import (
+    rows_of,
+    stacked_rows,
+    trial_column,
+    trial_labels,
+    with_words,
+)
+from cell.study.imports.tracks import along_cable
 from cell.study.imports.whole_times import with_whole_times
 
 #: A table, and its columns of words by name.
@@ -21,7 +28,7 @@ Labelled = tuple[Capture, dict[str, list[str]]]
 #: Names of a column of whole numbers that tell markers apart.
 _NUMBERED = frozenset(
     ("marker", "id", "point", "node", "label", "landmark", "index", "track", "tid", "trajectory",
-     "particle")
+     "particle", "counter")
 )  # fmt: skip
 #: A melted table has one column of values, and its coordinate in a word.
 _VALUES = frozenset(("value", "wert", "valeur", "valor"))
@@ -43,13 +50,19 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     time = time_column(capture)
     if time is None:
         return _without_text(capture, list(labels))
+    capture, labels = _with_trial_words(capture, labels)
     if (column := trial_column(capture)) is not None:
         return _trial_by_trial(capture, labels, column)
     t = capture.values[:, time]
     repeats = len(np.unique(t)) < len(t)
     if not repeats:
         return _without_text(capture, list(labels))
-    told = {n: w for n, w in labels.items() if _tells_apart(w)} | _numbered(capture, time)
+    told = {n: w for n, w in labels.items() if _tells_apart(w)}
+    if not told:
+        capture, rows = along_cable(capture, time)
+        labels = {n: [w[i] for i in rows] for n, w in labels.items()}
+        t = capture.values[:, time]
+    told |= _numbered(capture, time)
     chosen = _apart(t, told)
     if not chosen:
         return _without_text(capture, list(labels))
@@ -60,8 +73,21 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
         values = []  # the coordinates have columns of their own
     rest = ids | {time} if not values else frozenset(range(len(capture.columns))) - {values[0]}
     chosen.sort(key=lambda n: bool(_OF_COORDINATE & set(n.lower().split("_"))))
-    words = [" ".join(parts) for parts in zip(*(told[n] for n in chosen), strict=True)]
+    of_hand = [w[0] for w in labels.values() if len(set(w)) == 1 and w[0].lower() in HAND]
+    words = [" ".join([*of_hand, *p]) for p in zip(*(told[n] for n in chosen), strict=True)]
     return _wide(capture, time, words, rest)
+
+
+def _with_trial_words(
+    capture: Capture, labels: Mapping[str, Sequence[str]]
+) -> tuple[Capture, dict[str, Sequence[str]]]:
+    """The table with a column of words that tells trials apart among its columns."""
+    rest = dict(labels)
+    for name, words in labels.items():
+        with_them = with_words(capture, name, words)
+        if trial_column(with_them) == name:
+            return with_them, {n: w for n, w in rest.items() if n != name}
+    return capture, rest
 
 
 def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], column: str) -> Capture:
@@ -69,26 +95,20 @@ def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], colum
 
     raises  InputError: a marker is there twice at one time of a trial
     """
-    told = capture.column(column)
-    parts: list[Capture] = []
-    for value in np.unique(told):
+    told, parts = capture.column(column), list[Capture]()
+    place = capture.names.index(column)
+    for value, label in zip(np.unique(told), trial_labels(capture, column), strict=True):
         rows = np.flatnonzero(told == value)
         words = {name: [said[i] for i in rows.tolist()] for name, said in labels.items()}
-        parts.append(pivoted(rows_of(capture, {column: float(value)}), words))
-    columns = list(dict.fromkeys(c for part in parts for c in part.columns))
-    blocks = []
-    for part, value in zip(parts, np.unique(told), strict=True):
-        block = np.full((len(part.values), len(columns) + 1), np.nan)
-        block[:, 0] = value
-        block[:, [columns.index(c) + 1 for c in part.columns]] = part.values
-        blocks.append(block)
-    return replace(
-        parts[0],
-        columns=(capture.columns[capture.names.index(column)], *columns),
-        values=np.vstack(blocks),
-        lines=np.concatenate([part.lines for part in parts]),
-        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
-    )
+        part = pivoted(rows_of(capture, {column: label}), words)
+        parts.append(
+            replace(
+                part,
+                columns=(capture.columns[place], *part.columns),
+                values=np.column_stack([np.full(len(part.values), value), part.values]),
+            )
+        )
+    return stacked_rows(parts)
 
 
 def _tells_apart(words: Sequence[str]) -> bool:
@@ -276,6 +296,56 @@ def same_frames(one: Capture, other: Capture) -> bool:
     if first is None or second is None:
         return False
     return np.array_equal(one.values[:, first], other.values[:, second])
+
+
+def on_one_clock(one: Capture, other: Capture) -> Capture | None:
+    """Rows of a table, and of one of the gripper at other times of the same column, by time.
+
+    None = the other is not of a gripper, or they have not one clock.
+    """
+    times = [None if (i := time_column(t)) is None else t.columns[i] for t in (one, other)]
+    trial, time = trial_column(one), times[0]
+    shared = {name for name in one.names if name in other.names}
+    if time is None or times[1] != time or shared != {time.name} | ({trial} - {None}):
+        return None
+    inside, of_first = contents(other), contents(one)
+    of_gripper = any(p.on_gripper for p in inside.points) or inside.angles
+    spans = [(t.column(time.name).min(), t.column(time.name).max()) for t in (one, other)]
+    apart = spans[0][1] < spans[1][0] or spans[1][1] < spans[0][0]
+    has_its_own = any(p.on_gripper for p in of_first.points) or of_first.angles
+    if not of_gripper or has_its_own or apart or of_first.counts or trial != trial_column(other):
+        return None
+    whole = stacked_rows([one, other])
+    order = np.argsort(whole.column(time.name), kind="stable")
+    if trial is not None:
+        order = order[np.argsort(whole.column(trial)[order], kind="stable")]
+    return replace(whole, values=whole.values[order], lines=whole.lines[order])
+
+
+def trials_of_blocks(read: Sequence[Capture], titles: Mapping[int, str]) -> Capture | None:
+    """Tables that are trials one below the other, with a column that tells them apart.
+
+    None = they are not trials: these have the same columns, several of them beside a point's, and
+    times that begin again.
+
+    titles  of the tables by the lines of their first rows
+    """
+    first, inside = read[0], contents(read[0])
+    several = len(inside.points) > 1 or (inside.points and inside.angles)
+    if len(read) < 2 or not several or inside.time is None or "trial" in first.names:
+        return None
+    if any(t.columns != first.columns for t in read):
+        return None
+    starts = [float(t.column(inside.time)[0]) for t in read]
+    if any(t.column(inside.time)[-1] < max(starts) for t in read):
+        return None
+    words = [titles.get(int(t.lines[0]), "") for t in read]
+    if len(set(words)) < len(words):
+        words = [str(number) for number in range(1, len(read) + 1)]
+    named = [with_words(t, "trial", [w] * len(t.values)) for t, w in zip(read, words, strict=True)]
+    made = stacked_rows(named)
+    note = f"{first.path}: {len(read)} tables with the same columns are trials of their own"
+    return replace(made, notes=(*made.notes, note)) if trial_column(made) else None
 
 
 def joined(one: Capture, other: Capture) -> Capture:

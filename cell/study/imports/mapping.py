@@ -111,7 +111,7 @@ class TrialEntry(SectionPart):
     hand_text: TextSection | None = None
     seconds_per_unit: Positive | None = None
     hand_seconds_per_unit: Positive | None = None
-    only: dict[str, Finite] = Field(default_factory=dict)
+    only: dict[str, Finite | Name] = Field(default_factory=dict)
     clock_offset_s: Finite = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None

@@ -1,9 +1,8 @@
-"""Reads a file of measurements by its kind: C3D, TRC, JSON, recordings, files of arrays, tables."""
+"""Reads a file of measurements by its kind: C3D, TRC, documents, recordings, arrays, tables."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from cell.files.input_error import InputError
-from cell.files.text_file import read_text
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import (
-    AXES,
     CONTAINERS,
     capture_of,
     flat,
@@ -22,6 +19,7 @@ from cell.study.imports.containers import (
 )
 from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
+from cell.study.imports.documents import FEWEST_RECORDS, cells, is_xml, read_document
 from cell.study.imports.groups import split_part
 from cell.study.imports.line_protocol import is_line_protocol
 from cell.study.imports.long_tables import one_row_per_time, pivoted
@@ -29,34 +27,23 @@ from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.text_content import is_text, text_of
-from cell.study.imports.units import METRES, split_unit, unit_of
-from cell.study.table import MAX_BYTES, MAX_ROWS
+from cell.study.imports.units import METRES, unit_of
 from drivers.installing import install_extra
 
-#: Entries by which a record of a list says of which point it is.
-_LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
-_MOST_DEPTH, _FEWEST_RECORDS = 8, 3
 
-_Cell = tuple[CapturedColumn, float | str]
-
-
-def read_json(path: Path) -> Capture:
+def read_records(path: Path) -> Capture:
     """Read records, one per time or one per time and point, or a document of arrays.
 
-    raises  InputError: it is no JSON, or holds no records of numbers
+    raises  InputError: it is damaged, or holds no records of numbers
     """
-    text = read_text(path, MAX_BYTES)
-    if path.suffix.lower() != ".json":
-        lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-        return _table(path, [(i, _parsed(path, line, i)) for i, line in lines], "line")
-    content = _parsed(path, text, None)
-    records = _records(content, 0)
+    document = read_document(path)
+    content, records = document.content, document.records
     arrays = flat(_without_nulls(content)) if isinstance(content, dict) else {}
     series = [v for v in arrays.values() if v.ndim > 0 and v.dtype.kind in "fiu"]
     longest = max((len(v) for v in series), default=0)
-    if longest >= max(len(records), _FEWEST_RECORDS):
+    if longest >= max(len(records), FEWEST_RECORDS):
         return capture_of(path, arrays, {})
-    return _table(path, list(enumerate(records, 1)), "record")
+    return _table(path, records, document.counted)
 
 
 def _without_nulls(content: Any) -> Any:
@@ -68,33 +55,12 @@ def _without_nulls(content: Any) -> Any:
     return content
 
 
-def _parsed(path: Path, text: str, line: int | None) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        at = line if line is not None else getattr(error, "lineno", 1)
-        message = f"is no JSON ({error}); save it again, or remove the line"
-        raise InputError.at(path, message, line=at) from error
-
-
-def _records(content: Any, depth: int) -> list[Any]:
-    """The longest list of records; empty = there is none."""
-    if isinstance(content, list):
-        return content if all(isinstance(c, dict) for c in content) else []
-    if not isinstance(content, dict) or depth > _MOST_DEPTH:
-        return []
-    found = [_records(value, depth + 1) for value in content.values()]
-    return max(found, key=len, default=[])
-
-
 def _table(path: Path, records: Sequence[tuple[int, Any]], counted: str) -> Capture:
-    if len(records) > MAX_ROWS:
-        raise InputError.at(path, f"has {len(records)} records, limit {MAX_ROWS}; cut it")
-    rows = [dict(_cells(record, 0, "")) for _, record in records]
+    rows = [dict(cells(record)) for _, record in records]
     columns = list(dict.fromkeys(column for row in rows for column in row))
     words = {c.name for row in rows for c, value in row.items() if isinstance(value, str)}
     kept = [c for c in columns if c.name not in words]
-    if len(rows) < _FEWEST_RECORDS or not kept:
+    if len(rows) < FEWEST_RECORDS or not kept:
         message = "holds no list of records with numbers; give one record per time, each with its "
         raise InputError.at(path, f"{message}time and the places of the points")
     values = np.array([[row.get(c, np.nan) for c in kept] for row in rows], dtype=np.float64)
@@ -103,41 +69,6 @@ def _table(path: Path, records: Sequence[tuple[int, Any]], counted: str) -> Capt
         c.name: [str(row.get(c, "")) for row in rows] for c in columns if c.name in words
     }  # fmt: skip
     return pivoted(Capture(path, tuple(kept), values, lines, counted=counted), labels)
-
-
-def _cells(content: Any, depth: int, name: str) -> Iterator[_Cell]:
-    """Every number and word of a record, by the names on the way to it."""
-    if depth > _MOST_DEPTH:
-        return
-    if isinstance(content, Mapping):
-        for key, item in content.items():
-            bare, unit = split_unit(name)
-            whole = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
-            yield from _cells(item, depth + 1, whole.strip())
-    elif isinstance(content, list):
-        plain = all(item is None or isinstance(item, int | float) for item in content)
-        axes = AXES.get(len(content), "") if plain else ""
-        bare, unit = split_unit(name)
-        for i, item in enumerate(content):
-            label = axes[i] if axes else _label(item, i)
-            yield from _cells(item, depth + 1, f"{bare} {label} {unit}".strip())
-    elif isinstance(content, bool):
-        yield CapturedColumn(name), float(content)
-    elif content is None:
-        return
-    elif isinstance(content, int | float):
-        yield CapturedColumn(*split_unit(name)), float(content)
-    else:
-        value = number(str(content), ".")
-        yield CapturedColumn(*split_unit(name)), str(content) if value is None else value
-
-
-def _label(item: Any, place: int) -> str:
-    """What an entry of a list calls itself, else its place."""
-    if not isinstance(item, Mapping):
-        return str(place)
-    said = (item[key] for key in _LABELS if key in item)
-    return str(next((s for s in said if isinstance(s, str | int)), place))
 
 
 #: Keys that the second line may hold; the third has their values.
@@ -266,7 +197,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".log", ".sto", ".mot"
           ".rpt", ".itx", ".prn", ".out")  # fmt: skip
 _READERS = {".trc": read_trc, ".c3d": read_c3d, ".mcap": read_mcap}
 _READERS |= dict.fromkeys(CONTAINERS, read_container)
-_READERS |= dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json)
+_READERS |= dict.fromkeys((".json", ".jsonl", ".ndjson", ".xml", ".yml", ".yaml"), read_records)
 KINDS = (*TABLES, *_READERS)
 
 
@@ -276,12 +207,14 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     form    of a text table; None = found from the text
     raises  InputError: it cannot be read
     """
-    whole = split_part(path)[0]
+    whole, part = split_part(path)
     ending = whole.suffix.lower()
-    if ending not in _READERS and is_line_protocol(whole):
+    if part or (ending not in _READERS and is_line_protocol(whole)):
         capture = read_container(path)
     elif ending in _READERS:
         capture = _READERS[ending](path)
+    elif is_xml(path):
+        capture = read_records(path)
     elif ending in TABLES:
         capture = read_delimited(path, form)
     else:

@@ -8,16 +8,16 @@ from cell.cable.arrays import FloatArray
 from cell.study.entries import MAX_ARC_STD_FRACTION, MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn, Finding, Sure
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.contents import Contents
+from cell.study.imports.contents import FILM_RATES_HZ, Contents, epoch_unit
 from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.shape import arc_lengths, middle, resting
 from cell.study.imports.units import METRES, SECONDS
 from cell.study.series import noise_m
 
-#: Rows a second of which films and logs are; the first unit that gives such a rate is taken.
-_RATES_HZ = (2.0, 20_000.0)
 #: Spreadsheets count days.
 _DAY = {"day": 86_400.0}
+#: A log has so many times more or fewer rows a second than its file states, at most.
+_OTHER_RATE = 5.0
 #: A stated rate and stated times contradict each other from this share on: times rounded to
 #: milliseconds, and rates to whole numbers, differ by less.
 _CONTRADICTS = 0.05
@@ -55,7 +55,11 @@ def time_section(
     if not counts and inside.time_unit in SECONDS:
         unit, sure, why = _as_stated(inside.time_unit, (step, mean), rate_hz, capture.rate_hz)
     else:
-        unit, sure, why = _second(counts, step, steps, rate_hz or capture.rate_hz)
+        epoch = "" if counts or rate_hz is not None else epoch_unit(capture.column(column))
+        if epoch:
+            unit, sure, why = SECONDS[epoch], Sure.SEEN, f"{epoch} since 1970, by their size"
+        else:
+            unit, sure, why = _second(counts, step, steps, rate_hz, capture.rate_hz)
         if unit is None and lasts_s is not None:
             unit, sure, why = _as_long(float(np.nansum(steps)), lasts_s) or (unit, sure, why)
     first = float(capture.column(column)[0]) * (unit or 1.0)
@@ -114,23 +118,35 @@ def _as_stated(
 
 
 def _second(
-    counts: bool, step: float, steps: FloatArray, rate_hz: float | None
+    counts: bool, step: float, steps: FloatArray, wanted_hz: float | None, file_hz: float | None
 ) -> tuple[float | None, Sure, str]:
-    """Seconds a unit that the file does not state, how sure, and why."""
+    """Seconds a unit that the file does not state, how sure, and why.
+
+    wanted_hz, file_hz  rows a second that somebody and that the file states; None = not stated
+    """
+    rate_hz = wanted_hz or file_hz
     if counts:
         if rate_hz is None:
             return None, Sure.WANTED, "it counts rows, and no rate is stated"
         return 1.0 / rate_hz, Sure.SAID, f"{rate_hz:g} rows a second are stated"
+    by_steps, sure, why = _by_steps(step, steps)
     if rate_hz is not None and step > 0.0:
         wanted = 1.0 / rate_hz / step
         units = (SECONDS | _DAY).values()
         unit = min(units, key=lambda u: abs(np.log(u / wanted)))
-        if abs(np.log(unit / wanted)) > _CONTRADICTS:
-            unit = float(f"{wanted:.6g}")
-        return unit, Sure.SAID, f"{rate_hz:g} rows a second are stated"
+        if abs(np.log(unit / wanted)) <= _CONTRADICTS:
+            return unit, Sure.SAID, f"{rate_hz:g} rows a second are stated"
+        if wanted_hz is None and by_steps and abs(np.log(by_steps / wanted)) < np.log(_OTHER_RATE):
+            return by_steps, sure, f"{why}, though the file states {rate_hz:g} rows a second"
+        return float(f"{wanted:.6g}"), Sure.SAID, f"{rate_hz:g} rows a second are stated"
+    return by_steps, sure, why
+
+
+def _by_steps(step: float, steps: FloatArray) -> tuple[float | None, Sure, str]:
+    """Seconds a unit by the steps between rows, how sure, and why."""
     if len(steps) and np.all(steps == 1.0):
         return None, Sure.WANTED, "frames, or milliseconds"
-    low_hz, high_hz = _RATES_HZ
+    low_hz, high_hz = FILM_RATES_HZ
     for name in ("s", "ms", "µs", "ns", "day"):
         unit = (SECONDS | _DAY)[name]
         if step > 0.0 and low_hz <= 1.0 / (step * unit) <= high_hz:

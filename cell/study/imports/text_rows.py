@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 from cell.files.input_error import InputError
@@ -47,7 +48,8 @@ class Row:
 def split_line(line: str, separator: str) -> list[str]:
     """Cells of a line; none where it is no CSV."""
     if separator == " ":
-        return line.split()
+        found = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
+        return [cell.strip('"') for cell in found] if '"' in line else found
     try:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
@@ -68,7 +70,7 @@ def split_lines(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
 
 def _between_blanks(lines: Sequence[str]) -> list[Row]:
     """Rows of cells between blanks; names with single blanks stand between two at least."""
-    each = [line.split() for line in lines]
+    each = [split_line(line, " ") for line in lines]
     usual = Counter(len(cells) for cells in each if cells).most_common(1)
     width = usual[0][0] if usual else 0
     for i, line in enumerate(lines):
@@ -150,6 +152,47 @@ def without_summary(
         return list(rows), []
     note = f"{path}:{rows[last].line}: the table ends here, for no row of numbers follows"
     return list(rows[:last]), [f"{note}; the rest is not read"]
+
+
+def title_of(rows: Sequence[Row], decimal: Decimal) -> str:
+    """The last line above a table that is shorter than the table; empty = there is none."""
+    width = max(len(row.cells) for row in rows)
+    above = takewhile(lambda row: not row.is_data(decimal), rows)
+    named = [" ".join(found) for row in above if 0 < len(found := bare(row)) < width]
+    return named[-1] if named else ""
+
+
+def bare(row: Row) -> list[str]:
+    """Cells of a line without the mark of a remark."""
+    words = [cell.strip().lstrip("#%").strip() for cell in row.cells]
+    return [word for word in words if word]
+
+
+def without_row_names(
+    path: Path, above: Sequence[Row], table: Sequence[Row]
+) -> tuple[list[Row], list[str]]:
+    """Rows without their numbers, for which the line of names has no cell; and a note.
+
+    source  R, `write.table`: "no column name for a column of row names"
+    """
+    names = next((row.cells for row in reversed(above) if not row.blank), ())
+    firsts = [row.cells[0].strip() for row in table]
+    short = len(names) == len(table[0].cells) - 1 > 1 and all(cell.strip() for cell in names)
+    whole = short and all(cell.isdecimal() for cell in firsts)
+    rise = whole and all(int(a) < int(b) for a, b in pairwise(firsts))
+    if not rise or any(is_number(cell, ".") for cell in names):
+        return list(table), []
+    note = f"{path}:{table[0].line}: the first cell of each row is its number, and has no name: it"
+    return [Row(row.line, row.cells[1:]) for row in table], [f"{note} is not read"]
+
+
+def is_like(row: Row, other: Row, decimal: Decimal) -> bool:
+    """Whether a row has a number, and numbers and words where another one has them, or nothing."""
+    both = [(c, d) for c, d in zip(row.cells, other.cells, strict=False)
+            if c.strip().lower() not in NOT_SEEN]  # fmt: skip
+    said = [is_number(c, decimal) for c, _ in both]
+    same = all(is_one == is_number(d, decimal) for is_one, (_, d) in zip(said, both, strict=True))
+    return any(said) and same and len(row.cells) == len(other.cells)
 
 
 def goes_on(row: Row, first: Row, decimal: Decimal) -> bool:

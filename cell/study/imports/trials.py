@@ -21,6 +21,7 @@ from cell.study.imports.gripper_section import TextSection, TimeSection
 from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import places_m
+from cell.study.imports.row_trials import TrialLabel
 from cell.study.imports.scales import time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
 from cell.study.root_motion import INNERMOST, root_places_m
@@ -41,7 +42,7 @@ class Files:
     gripper_file: str | None = None
     gripper: Capture | None = None
     joined_files: tuple[str, ...] = ()
-    only: Dictionary[str, float] = field(default_factory=dict)
+    only: Dictionary[str, TrialLabel] = field(default_factory=dict)
 
     @property
     def in_one(self) -> bool:
@@ -136,6 +137,8 @@ def _seconds_per_unit(
 ROWS_OFF = 1.5
 #: The first marker follows the gripper closely if it is within this share of the cable.
 NEAR_HAND = 0.35
+#: Time zones differ by whole half hours, and by so much at most, s.
+_HALF_HOUR_S, _FARTHEST_S = 1800.0, 14 * 3600.0
 #: A gripper moves if it leaves its place by this share of the cable's length.
 _MOVES = 0.01
 
@@ -208,6 +211,8 @@ def _start_and_clock(
     late_s, of_hand, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
     if mapping.hand.columns is not None or mapping.hand.fixed_m is not None:
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
+        zone_s = _zone_s(name, hand_s, t_s, findings)
+        hand_s = hand_s + zone_s
         if shared_s is not None:
             late_s = shared_s
         elif hand is not None:
@@ -223,12 +228,28 @@ def _start_and_clock(
                 sentence += "taken as time 0 of the gripper's file, unless said otherwise"
                 findings.guessed("clock_offset_s", sentence)
         of_hand = hand_s + late_s, hand_m
+        late_s += zone_s
     elif hand is not None:
         sentence = f"{name}: whether both clocks agree is not known before the gripper's path is"
         findings.guessed("clock_offset_s", sentence)
     seen = np.isfinite(xy_m).any(axis=(1, 2))
     begun = _start(name, (t_s[seen], xy_m[seen]), of_hand, length_m, findings)
     return begun | ({"clock_offset_s": late_s} if late_s else {})
+
+
+def _zone_s(name: str, hand_s: FloatArray, seen_s: FloatArray, findings: ImportFindings) -> float:
+    """Whole half hours by which the gripper's clock is in another zone, s; 0 = it is not.
+
+    Clocks are taken so only if they have no time in common otherwise.
+    """
+    both_s = 0.5 * float(np.ptp(hand_s) + np.ptp(seen_s))
+    apart_s = 0.5 * float(seen_s[0] + seen_s[-1] - hand_s[0] - hand_s[-1])
+    zone_s = _HALF_HOUR_S * round(apart_s / _HALF_HOUR_S)
+    if abs(apart_s) <= both_s or abs(apart_s - zone_s) > both_s or abs(zone_s) > _FARTHEST_S:
+        return 0.0
+    sentence = f"{name}: {zone_s:+g} s, {zone_s / 3600.0:+g} h, are added to the gripper's clock: "
+    findings.guessed("clock_offset_s", f"{sentence}one of the files seems to be in local time")
+    return zone_s
 
 
 def _counts(time: TimeSection) -> bool:
@@ -294,7 +315,7 @@ def _clock(
         findings.seen("clock_offset_s", sentence)
         return 0.0
     shift_s = round(shift_s, 4)
-    if files.in_one:
+    if files.in_one and hand[0][0] < seen[0][-1] and seen[0][0] < hand[0][-1]:
         sentence = f"{name}: gripper and markers are in one file, and so on one clock, though both "
         sentence += f"move at once if the gripper's is {shift_s:+g} s later; give clock_offset_s if"
         findings.guessed("clock_offset_s", f"{sentence} that is right")

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
-from cell.study.imports.choosing import Chosen, choose, detected_places
-from cell.study.imports.clamp_angle import Root, clamp_angle
-from cell.study.imports.column_names import is_of_wrench
-from cell.study.imports.contents import Contents, Point, contents
+from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
+from cell.study.imports.clamp_angle import clamp_angle
+from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
+from cell.study.imports.contents import Contents, Point, contents, on_one_clock
 from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_proposal import (
     TIP,
@@ -37,16 +36,25 @@ from cell.study.imports.gripper_section import (
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
+from cell.study.imports.plane_chain import (
+    A_LINE,
+    PlaneChain,
+    chain_from,
+    curve_from_gripper,
+    detected_points,
+    root_at_rest,
+    root_in_rows,
+    roots_of_others,
+    scene_of,
+    shape_at_rest,
+    shapes_of,
+)
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
-from cell.study.imports.shape import arc_lengths, middle, rest_rows, resting, root_direction
+from cell.study.imports.shape import rest_rows
 from cell.study.imports.stated import Stated, with_files
-from cell.study.imports.trial_files import by_rows
+from cell.study.imports.trial_files import by_rows, named_alike
 from cell.study.imports.trials import Files, trial_entries
 
-#: Rows of a long trial in which the direction of the cable's root is estimated.
-_ROOTS = 1000
-#: Points of a chain that show a line and no bend, and that show how a curve goes on.
-_A_LINE, _A_CURVE = 2, 3
 #: The second coordinate is the vertical from this component of its direction on.
 _DOWN = 0.5
 #: A marker is at the gripping point if it is nearer to it than this share of the cable's length.
@@ -63,30 +71,18 @@ class Understanding:
     findings: tuple[Finding, ...]
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """The chain of points in the study's plane.
-
-    xy_m          (rows, points, 2), the gripping point first where it is in the same file
-    arcs          (markers,) from the gripping point, m
-    shape         (points, 2) at rest, the gripping point first where that is known
-    from_gripper  whether it is; else arcs are from the first marker
-    """
-
-    xy_m: FloatArray
-    arcs: FloatArray
-    shape: FloatArray
-    from_gripper: bool
-
-
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no gripper, or is
     disordered."""
     findings = ImportFindings()
-    trials = by_rows(trials, findings)
+    trials = named_alike(by_rows(trials, findings), findings)
     first = trials[0]
     inside = contents(first.capture)
     apart = None if first.gripper is None else gripper_file(first.gripper)
+    if apart is not None:
+        both = (inside, first.capture), (apart.inside, apart.capture)
+        inside = on_one_clock(*both[0], *both[1])
+        apart = replace(apart, inside=on_one_clock(*both[1], *both[0]))
     elsewhere = apart is not None or inside.has_gripper_sensor
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
@@ -96,31 +92,32 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         )
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
+    check_scales([files.capture for files in trials], chosen, findings)
     time, told = time_section(first.capture, inside, stated.rate_hz)
     findings.insert(0, told)
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
-    raw = _detected(first.capture, points, chosen)
-    shape, units = _shape(raw), {p.unit for p in points}
+    raw = detected_points(first.capture, points, chosen)
+    shape, units = shape_at_rest(raw), {p.unit for p in points}
     begins = None
     if apart is not None and len(raw[rest_rows(raw)]):
         begins = first_point(apart, shape, units, stated.free_length_m)
     shape = shape if begins is None else np.vstack([begins, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
     scale, told = metres_per_unit(units, extent, stated.free_length_m)
-    others = [s for s in _shapes(trials[1:], points, chosen) if np.isfinite(s).all()]
+    others = [s for s in shapes_of(trials[1:], points, chosen) if np.isfinite(s).all()]
     axes, of_axes = find_axes(raw, shape, others)
     findings += [_of_image(told, axes, raw), *of_axes]
-    scene = _scene(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
+    scene = scene_of(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
-    chain_m = _chain(raw, begins if scene.from_gripper else None) * (scale or 1.0)
+    chain_m = chain_from(raw, begins if scene.from_gripper else None) * (scale or 1.0)
     stds = _arc_stds(chain_m, scene, stated, arcs, findings)
     nearest = None
     if apart is not None and apart.point is not None and scale is not None:
         nearest = _nearest(trials, apart.point, chosen, axes, scale)
-    roots = _roots_of_others(trials, chosen, axes, arcs)
+    roots = roots_of_others(trials, chosen, axes, arcs)
     if apart is not None:
-        root = replace(_root_at_rest(scene, arcs), others=roots)
+        root = replace(root_at_rest(scene, arcs), others=roots)
         lasts_s = _duration_s(first.capture, time)
         hand = section_of_file(apart, axes, root, scale, nearest, lasts_s, findings)
     else:
@@ -186,63 +183,8 @@ def _of_image(finding: Finding, axes: AxesSection, raw: FloatArray) -> Finding:
     return replace(finding, sentence=f"{finding.sentence}; if these are {what}", sure=Sure.GUESSED)
 
 
-def _detected(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
-    """(rows, points, d) where points are seen, in the file's unit and axes."""
-    of_hand = (chosen.gripper, chosen.second)
-    return np.stack(
-        [detected_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
-        axis=1,
-    )
-
-
-def _chain(raw: FloatArray, begins: FloatArray | None) -> FloatArray:
-    """Places (rows, points, d), behind that (d,) where the gripper of another file rests, if
-    known."""
-    if begins is None:
-        return raw
-    return np.concatenate([np.broadcast_to(begins, (len(raw), 1, len(begins))), raw], axis=1)
-
-
-def _shape(raw: FloatArray) -> FloatArray:
-    """(points, d) at rest, else a mean of what is seen."""
-    rest = resting(raw)
-    return middle(raw if rest is None else rest)
-
-
-def _shapes(
-    trials: Sequence[Files], points: Sequence[Point], chosen: Chosen
-) -> Iterator[FloatArray]:
-    """(points, d) of trials at rest, whose files have the same columns."""
-    for files in trials:
-        if {name for p in points for name in p.columns} <= set(files.capture.names):
-            yield _shape(_detected(files.capture, points, chosen))
-
-
-def _scene(
-    raw: FloatArray, axes: AxesSection, scale: float, begins: FloatArray | None, with_hand: bool
-) -> _Scene:
-    """The chain in the plane.
-
-    begins     (d,) where the gripper of another file rests; None = that is not known
-    with_hand  the first of the points is the gripping point
-    """
-    directions = np.array([axes.right, axes.up])
-    xy_m = raw @ directions.T * scale
-    shape = _shape(xy_m)
-    if begins is not None:
-        shape = np.vstack([directions @ begins * scale, shape])
-    # Of the mean shape at rest: noise lengthens the curve through points of a single row.
-    at_rest = resting(xy_m) is not None and np.isfinite(shape).all()
-    lengths = arc_lengths(shape[None] if at_rest or begins is not None else xy_m)
-    if begins is not None and len(shape) <= _A_LINE:
-        lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
-    from_hand = with_hand or (begins is not None and len(shape) > _A_LINE)
-    # Else the first marker is at an unknown distance from the gripper.
-    return _Scene(xy_m, lengths[1:] if from_hand else lengths, shape, from_hand)
-
-
 def _arcs(
-    scene: _Scene, chosen: Chosen, stated: Stated, known: bool, findings: ImportFindings
+    scene: PlaneChain, chosen: Chosen, stated: Stated, known: bool, findings: ImportFindings
 ) -> list[float | None]:
     """Where the markers are along the cable, to 10 µm; None where nothing tells it."""
     lengths, length_m = scene.arcs, stated.free_length_m
@@ -291,7 +233,7 @@ def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
 
 def _arc_stds(
     places_m: FloatArray,
-    scene: _Scene,
+    scene: PlaneChain,
     stated: Stated,
     arcs: Sequence[float | None],
     findings: ImportFindings,
@@ -301,7 +243,7 @@ def _arc_stds(
     places_m  (rows, points, d) of the chain, from the gripper on where that is known
     """
     last_m = arcs[-1]
-    if last_m is None or places_m.shape[1] < _A_LINE:
+    if last_m is None or places_m.shape[1] < A_LINE:
         return [None] * len(arcs)
     length_m = stated.free_length_m or last_m
     stds = arc_length_stds(places_m, length_m, scene.from_gripper)
@@ -334,7 +276,7 @@ def _gripper(
     capture: Capture,
     chosen: Chosen,
     axes: AxesSection,
-    scene: _Scene,
+    scene: PlaneChain,
     arcs: Sequence[float | None],
     others: tuple[tuple[Capture, float], ...],
     findings: ImportFindings,
@@ -342,16 +284,20 @@ def _gripper(
     """The gripping point and the clamp angle, from the file of the markers."""
     inside, hand = contents(capture), chosen.gripper
     if inside.has_gripper_sensor:
-        root = replace(_root_at_rest(scene, arcs), others=others)
+        root = replace(root_at_rest(scene, arcs), others=others)
         return sensor_section(capture, inside, axes, root, {}, findings)
     if hand is None:
         return GripperSection(angle=AngleSection())
+    named = inside.point(hand.name)
+    spare = () if named is None else named.columns[len(hand.columns) :]  # perhaps its angle
+    angles = tuple((n, Meaning(ColumnKind.ANGLE, hand.name, "", "")) for n in spare)
+    inside = replace(inside, angles=inside.angles + angles)
     second = None
     if chosen.second is not None:
-        rest = _shape(_detected(capture, (hand, chosen.second), chosen))
+        rest = shape_at_rest(detected_points(capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         second = chosen.second, angle_of(line)
-    root = replace(_root(scene), others=others)
+    root = replace(root_in_rows(scene), others=others)
     angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)
 
@@ -381,7 +327,7 @@ def _with_origin(
     hand: GripperSection,
     apart: GripperFile,
     axes: AxesSection,
-    scene: _Scene,
+    scene: PlaneChain,
     arcs: Sequence[float | None],
     scale: float | None,
     findings: ImportFindings,
@@ -390,7 +336,7 @@ def _with_origin(
 
     At rest the curve through the markers goes on to the gripping point.
     """
-    curve = _curve_from_gripper(scene, arcs)
+    curve = curve_from_gripper(scene, arcs)
     if hand.columns is None or apart.initial is None or scale is None or curve is None:
         return hand
     begins_m, length_m = curve(0.0), float(curve.x[-1])
@@ -406,56 +352,6 @@ def _with_origin(
         "curve through the markers at rest begins at the gripper; measure hand.origin_m",
     )
     return hand.model_copy(update={"origin_m": (x_m, y_m)})
-
-
-def _root_at_rest(scene: _Scene, arcs: Sequence[float | None]) -> Root:
-    """The clamp angle as the markers show it at rest, where they have no rows in common with it.
-
-    Where the first marker is away from the gripper, the curve goes on to it.
-    """
-    shape = scene.shape
-    angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
-    if (curve := _curve_from_gripper(scene, arcs)) is not None:
-        angle = angle_of(curve(0.0, 1))
-    return Root(np.full(1, np.nan), angle, len(shape) <= _A_LINE)
-
-
-def _roots_of_others(
-    trials: Sequence[Files], chosen: Chosen, axes: AxesSection, arcs: Sequence[float | None]
-) -> tuple[tuple[Capture, float], ...]:
-    """Of each other trial the file with the gripper, and the clamp angle that its markers show at
-    rest; of a trial that begins in motion, or whose file has other columns, nothing."""
-    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
-    wanted = {name for p in points for name in p.columns}
-    found = []
-    for files in trials[1:]:
-        if not wanted <= set(files.capture.names) or len(points) < _A_LINE:
-            continue
-        raw = _detected(files.capture, points, chosen)
-        scene = _scene(raw, axes, 1.0, None, chosen.gripper is not None)
-        if resting(raw) is not None and np.isfinite(scene.shape).all():
-            root = _root_at_rest(scene, arcs)
-            found.append((files.gripper or files.capture, root.rest_rad))
-    return tuple(found)
-
-
-def _curve_from_gripper(scene: _Scene, arcs: Sequence[float | None]) -> CubicSpline | None:
-    """(2,) place against arc length, where the first marker is not at the gripper; None if it is,
-    or too few markers show how the curve goes on."""
-    known = [a for a in arcs if a is not None]
-    if scene.from_gripper or len(known) < _A_CURVE or len(known) != len(scene.shape):
-        return None
-    return CubicSpline(known, scene.shape)
-
-
-def _root(scene: _Scene) -> Root:
-    """The clamp angle as the cable's root shows it, in rows all over the trial and at rest."""
-    angle = np.full(len(scene.xy_m), np.nan)
-    whole = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
-    whole = whole[:: max(1, len(whole) // _ROOTS)]
-    directions = [root_direction(shape) for shape in scene.xy_m[whole]]
-    angle[whole] = np.unwrap([angle_of(d) for d in directions])
-    return Root(angle, angle_of(root_direction(scene.shape)), len(scene.shape) <= _A_LINE)
 
 
 def _tell_missing(mapping: Mapping, findings: ImportFindings) -> None:

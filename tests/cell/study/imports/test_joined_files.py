@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.study.folder import read_study
+
 from .corpus.swing import MARKERS, Swing, straight_study
 from .corpus.text import cells, lines, plane, saved, trc
 from .made import CABLE, check_same, run
@@ -33,6 +35,36 @@ def test_files_of_a_point_each_are_one_motion(tmp_path: Path, form: str, count: 
     study, said = study_from(written, tmp_path / "study", {}, {})
     assert "one motion" in said
     check_same(study, *truth, place_m=1e-6, angle_rad=0.02)
+
+
+def test_points_that_are_lost_are_missing_rows_of_files_in_a_folder_per_motion(
+    tmp_path: Path,
+) -> None:
+    """Names of points have one word or two; the gripper is in files of its own."""
+    truth, files, hands = straight_study(), list[Path](), list[Path]()
+    for s in truth:
+        (tmp_path / s.name).mkdir()
+        for k, name in enumerate(MARKERS):
+            rows = cells(np.column_stack([s.t_s, s.markers_m[:, k]]), 9)
+            rows = rows[:100] + rows[101 + 3 * k :]
+            called = f"point {k}" if k else name
+            file = saved(tmp_path / s.name / f"{called}.txt", lines([["t", "x", "y"], *rows], "\t"))
+            files.append(file)
+        path = cells(np.column_stack([s.t_s, s.gripper_m, s.angle_rad]), 9)
+        head = ["t_s", "tcp_x_m", "tcp_y_m", "tcp_angle_rad"]
+        hands.append(saved(tmp_path / f"robot_{s.name}.csv", lines([head, *path])))
+    of_hands = [word for hand in hands for word in ("--hand", str(hand))]
+    said = run(*files, *of_hands, "-o", tmp_path / "study", *CABLE)
+    assert "are taken as one motion's" in said
+    run(tmp_path / "study" / "import.yaml")
+    study = read_study(tmp_path / "study")
+    for trial, s in zip(study.trials, truth, strict=True):
+        lost = np.isnan(trial.markers.xy_m[:, ::-1, 0]).sum(axis=0)
+        assert (len(trial.markers.t_s), lost.tolist()) == (len(s.t_s) - 1, [0, 3, 6, 9, 12])
+        np.testing.assert_allclose(trial.grip.y_m, s.gripper_m[:, 1], atol=1e-6)
+    assert "--hand names 1 files for 10 trials" in run(
+        *files, *of_hands[:2], "-o", tmp_path / "other", *CABLE, code=2
+    )
 
 
 def test_orientations_alone_are_joined_to_the_markers(tmp_path: Path) -> None:

@@ -143,6 +143,28 @@ def test_rows_of_numbered_tracks_are_points(tmp_path: Path, names: Sequence[str]
     check_places(imported([file, "--rate", "200"], tmp_path / "study"), m)
 
 
+def test_tracks_that_end_go_on_under_another_number_in_any_order(tmp_path: Path) -> None:
+    """Without a number, or still, it is no point of the cable."""
+    m = made()
+    rows = []
+    for i in range(len(m.t_s)):
+        for k in range(len(POINTS)):
+            if (k, i) not in {(2, 180), (2, 181)}:
+                track = 40 if k == 2 and i > 181 else 7 - k
+                rows.append([i + 1, track, *(1e3 * places(m)[i, k])])
+        rows.append([i + 1, 11, -200.0, 300.0])
+    rows.insert(30, [5, np.nan, 4.0, 5.0])
+    file = table(tmp_path, "spots.csv", ["FRAME", "TRACK_ID", "X [mm]", "Y [mm]"], np.array(rows))
+    study = imported([file, "--rate", "200"], tmp_path / "study")
+    truth = places(m)[:, ::-1] - places(m)[0, 0]
+    seen = study.trials[0].markers.xy_m
+    own = np.isfinite(seen[..., 0])
+    assert (~own).sum() == 2
+    np.testing.assert_allclose(seen[own], truth[:, : seen.shape[1]][own], atol=1e-3)
+    said = run(file, "--rate", "200", "-o", tmp_path / "told", *CABLE)
+    assert "those that go on under another number are joined: 40 with 5" in said
+
+
 def test_a_single_point_without_a_gripper_is_refused_with_the_ways(tmp_path: Path) -> None:
     m = made()
     values = np.column_stack([m.t_s, m.markers_m[:, -1]])

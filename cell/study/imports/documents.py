@@ -1,0 +1,185 @@
+"""Structured documents: JSON, JSON lines, XML, and the YAML of OpenCV, as records of numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cell.files.input_error import InputError
+from cell.files.text_file import read_text
+from cell.study.imports.capture import CapturedColumn, number
+from cell.study.imports.units import split_unit
+from cell.study.table import MAX_BYTES, MAX_ROWS
+
+#: Coordinates of an array whose last dimension has so many: places, or quaternions.
+AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
+#: Entries by which a record of a list says of which point it is.
+_LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
+_MOST_DEPTH, FEWEST_RECORDS = 8, 3
+#: OpenCV's first line, which is no YAML, its matrices, and its word for no number.
+_OF_OPENCV = re.compile(r"%YAML:[\d.]+")
+_TAG, _NAN = re.compile(r"!!opencv-\S+"), re.compile(r"\.Nan\b")
+_DECLARATION = re.compile(r"<\?.*?\?>", re.DOTALL)
+#: Entries of a mapping of this program.
+_OF_MAPPING = re.compile(r"^(format|trials) *:", re.MULTILINE)
+
+Cell = tuple[CapturedColumn, float | str]
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredDocument:
+    """What a document holds.
+
+    records  each with the number of its line, or of the record; they are all alike, or of streams
+    counted  what is numbered
+    """
+
+    content: Any
+    records: list[tuple[int, Any]]
+    counted: str
+
+
+def is_xml(path: Path) -> bool:
+    """Whether a file begins as XML does."""
+    return path.is_file() and path.read_bytes()[:99].lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"<"
+
+
+def is_yaml_data(path: Path) -> bool:
+    """Whether a YAML file holds measurements: OpenCV's, or one without the entries of a mapping."""
+    text = path.read_text("utf-8-sig", errors="replace") if path.is_file() else "format:"
+    return bool(_OF_OPENCV.match(text)) or not _OF_MAPPING.search(text)
+
+
+def read_document(path: Path) -> StructuredDocument:
+    """The records of a document.  Raises InputError: it is damaged, or has too many."""
+    text, ending = read_text(path, MAX_BYTES), path.suffix.lower()
+    if ending in (".jsonl", ".ndjson"):
+        lines = ((i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip())
+        records = [(i, _parsed(path, line, i)) for i, line in lines]
+        found = StructuredDocument(None, records, "line")
+    elif ending in (".yml", ".yaml"):
+        found = _of_records(_yaml(path, text))
+    elif ending == ".json":
+        found = _of_records(_parsed(path, text, None))
+    else:
+        found = _xml(path, text)
+    if len(found.records) > MAX_ROWS:
+        raise InputError.at(path, f"has {len(found.records)} records, limit {MAX_ROWS}; cut it")
+    return found
+
+
+def _of_records(content: Any) -> StructuredDocument:
+    return StructuredDocument(content, list(enumerate(_records(content, 0), 1)), "record")
+
+
+def _parsed(path: Path, text: str, line: int | None) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        at = line if line is not None else getattr(error, "lineno", 1)
+        message = f"is no JSON ({error}); save it again, or remove the line"
+        raise InputError.at(path, message, line=at) from error
+
+
+def _yaml(path: Path, text: str) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        bare = _NAN.sub(".nan", _TAG.sub("", _OF_OPENCV.sub("", text, count=1)))
+        return _with_matrices(YAML(typ="safe").load(bare))
+    except (YAMLError, ValueError, RecursionError) as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", 0) + 1
+        message = "is no YAML, neither a mapping nor of OpenCV; save it again"
+        raise InputError.at(path, message, line=line) from error
+
+
+def _with_matrices(content: Any) -> Any:
+    """The same with OpenCV's matrices as lists of rows; one of a single row or column is a list."""
+    if isinstance(content, list):
+        return [_with_matrices(item) for item in content]
+    if not isinstance(content, Mapping):
+        return content
+    if {"rows", "cols", "data"} <= set(content):
+        values = np.array(content["data"], dtype=np.float64)
+        return values.reshape(int(content["rows"]), -1).squeeze().tolist()
+    return {str(key): _with_matrices(item) for key, item in content.items()}
+
+
+def _xml(path: Path, text: str) -> StructuredDocument:
+    """Records of one tree, or of a log of many, whose last line may be torn."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError.at(path, "defines entities, which are not read; export plain XML")
+    bare = _DECLARATION.sub("", text).rstrip()
+    try:
+        try:
+            return _of_records(_element(ElementTree.fromstring(f"<_>{bare}</_>")))
+        except ElementTree.ParseError:
+            whole = bare.rpartition("\n")[0] or bare
+            return _of_records(_element(ElementTree.fromstring(f"<_>{whole}</_>")))
+    except (ElementTree.ParseError, RecursionError) as error:
+        line = getattr(error, "position", (1, 0))[0]
+        raise InputError.at(path, f"is no XML ({error}); save it again", line=line) from error
+
+
+def _element(element: ElementTree.Element) -> Any:
+    """An element as plain data: its attributes and its children by name, else its text."""
+    children: dict[str, list[Any]] = {}
+    for child in element:
+        children.setdefault(child.tag.rpartition("}")[2], []).append(_element(child))
+    found = element.attrib | {k: v[0] if len(v) == 1 else v for k, v in children.items()}
+    return found or (element.text or "").strip() or None
+
+
+def _records(content: Any, depth: int) -> list[Any]:
+    """The longest list of records, or of entries with the same keys; empty = there is none."""
+    if isinstance(content, list):
+        return content if all(isinstance(c, dict) for c in content) else []
+    if not isinstance(content, dict) or depth > _MOST_DEPTH:
+        return []
+    each = [c for c in content.values() if isinstance(c, dict)]
+    alike = each if len({frozenset(c) for c in each}) == 1 and len(each) >= FEWEST_RECORDS else []
+    found = [_records(value, depth + 1) for value in content.values()]
+    return max([alike, *found], key=len)
+
+
+def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
+    """Every number and word of a record, by the names on the way to it."""
+    if depth > _MOST_DEPTH:
+        return
+    if isinstance(content, Mapping):
+        for key, item in content.items():
+            bare, unit = split_unit(name)
+            whole = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
+            yield from cells(item, depth + 1, whole.strip())
+    elif isinstance(content, list):
+        plain = all(item is None or isinstance(item, int | float) for item in content)
+        axes = AXES.get(len(content), "") if plain else ""
+        bare, unit = split_unit(name)
+        for i, item in enumerate(content):
+            label = axes[i] if axes else _label(item, i)
+            yield from cells(item, depth + 1, f"{bare} {label} {unit}".strip())
+    elif isinstance(content, bool):
+        yield CapturedColumn(name), float(content)
+    elif content is None:
+        return
+    elif isinstance(content, int | float):
+        yield CapturedColumn(*split_unit(name)), float(content)
+    else:
+        value = number(str(content), ".")
+        yield CapturedColumn(*split_unit(name)), str(content) if value is None else value
+
+
+def _label(item: Any, place: int) -> str:
+    """What an entry of a list calls itself, else its place."""
+    if not isinstance(item, Mapping):
+        return str(place)
+    said = (item[key] for key in _LABELS if key in item)
+    return str(next((s for s in said if isinstance(s, str | int)), place))
