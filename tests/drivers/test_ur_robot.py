@@ -30,7 +30,7 @@ def mode(
         getTargetSpeedFraction=lambda: slider,
         getSpeedScaling=lambda: scaling,
     )
-    it._pendant = SimpleNamespace(given=remote)
+    it._pendant = SimpleNamespace(is_remote=remote)
     return it.mode(moving)
 
 
