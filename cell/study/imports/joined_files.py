@@ -1,4 +1,4 @@
-"""Files of one motion that are joined: a point each, or a gripper's angle alone."""
+"""Joins files of one motion: a file per point, or a separate file of the gripper's angle."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, contents
 
-#: Times of one recording differ by less than this share of a row; fewest points of a motion.
+#: Times that differ by less than this fraction of a row are equal; minimum points of a motion.
 _SAME_TIME = 0.01
-_FEWEST = 3
-#: Times of all files are fewer than so many times those of one: others lose frames.
-_MOST_LOST = 2
+_MIN_POINTS = 3
+#: Maximum ratio of the number of all times to that of the shortest file, which lost frames.
+_RATIO = 2
 
 
 def joined(captures: Sequence[Capture]) -> Capture:
-    """The columns of files of one recording; those of one name are called after their files.
+    """Merge the columns of files of one recording; equal names get their file's label as prefix.
 
-    A time that a file has not is one at which its points are not seen.
+    At times that a file lacks, its values are nan.
 
     raises  InputError: a file has times between those of the others
     """
     first, labels = captures[0], _labels([c.path for c in captures])
     time = contents(first).time or ""
-    each = [name for c in captures for name in c.names if name != time]
-    times, places = _grid([c.column(time) for c in captures])
+    all_names = [name for c in captures for name in c.names if name != time]
+    times, indices = _grid([c.column(time) for c in captures])
     columns, values, notes = [first.columns[first.names.index(time)]], [times], list[str]()
     lines = np.full(len(times), first.lines[-1], dtype=np.intp)
-    lines[places[0]] = first.lines
-    for capture, label, place in zip(captures, labels, places, strict=True):
+    lines[indices[0]] = first.lines
+    for capture, label, rows in zip(captures, labels, indices, strict=True):
         if not on_one_grid([first, capture]):
             message = f"has not the times of {first.path.name}, with which it is to be joined; "
             raise capture.error(0, f"{message}give files of one recording")
         for column, series in zip(capture.columns, capture.values.T, strict=True):
             if column.name == time:
                 continue
-            shared = each.count(column.name) > 1
-            columns.append(replace(column, name=f"{label} {column.name}") if shared else column)
+            ambiguous = all_names.count(column.name) > 1
+            columns.append(replace(column, name=f"{label} {column.name}") if ambiguous else column)
             values.append(np.full(len(times), np.nan))
-            values[-1][place] = series
+            values[-1][rows] = series
         notes += capture.notes
     return replace(
         first, columns=tuple(columns), values=np.column_stack(values), lines=lines,
@@ -54,55 +54,54 @@ def joined(captures: Sequence[Capture]) -> Capture:
 
 
 def on_one_grid(captures: Sequence[Capture]) -> bool:
-    """Whether files have a column of times of one name, and no time between those of another."""
+    """Whether files have time columns of equal name, and no times between those of another file."""
     names = {contents(c).time for c in captures}
     name = next(iter(names))
     if len(names) > 1 or name is None:
         return False
-    each = [c.column(name) for c in captures]
-    rise = all(np.isfinite(t).all() and np.all(np.diff(t) > 0.0) and len(t) > 1 for t in each)
-    if not rise:
+    stamps = [c.column(name) for c in captures]
+    rising = all(np.isfinite(t).all() and np.all(np.diff(t) > 0.0) and len(t) > 1 for t in stamps)
+    if not rising:
         return False
-    step = min(float(np.median(np.diff(t))) for t in each)
-    times, _ = _grid(each)
-    return bool(np.diff(times).min() > 0.5 * step and len(times) < _MOST_LOST * min(map(len, each)))
+    step = min(float(np.median(np.diff(t))) for t in stamps)
+    times, _ = _grid(stamps)
+    return bool(np.diff(times).min() > 0.5 * step and len(times) < _RATIO * min(map(len, stamps)))
 
 
-def _grid(each: Sequence[FloatArray]) -> tuple[FloatArray, list[NDArray[np.intp]]]:
-    """Times of all, those of one row once, and the places of each among them."""
-    every = np.sort(np.concatenate(each))
-    step = float(np.median(np.diff(each[0]))) if len(each[0]) > 1 else 0.0
-    times = every[np.append(True, np.diff(every) > _SAME_TIME * abs(step))]
-    places = [np.searchsorted(times, t, side="right") - 1 for t in each]
-    return times, places
+def _grid(time_columns: Sequence[FloatArray]) -> tuple[FloatArray, list[NDArray[np.intp]]]:
+    """Times of all files without repeats, and the index of each file's times among them."""
+    stamps = np.sort(np.concatenate(time_columns))
+    step = float(np.median(np.diff(time_columns[0]))) if len(time_columns[0]) > 1 else 0.0
+    times = stamps[np.append(True, np.diff(stamps) > _SAME_TIME * abs(step))]
+    indices = [np.searchsorted(times, t, side="right") - 1 for t in time_columns]
+    return times, indices
 
 
-def same_times(one: Capture, other: Capture) -> bool:
-    """Whether two files have a row at each of the same times, in a column of the same name."""
-    return len(one.values) == len(other.values) and on_one_grid([one, other])
+def same_times(first: Capture, second: Capture) -> bool:
+    """Whether two files have rows at the same times, in time columns of equal name."""
+    return len(first.values) == len(second.values) and on_one_grid([first, second])
 
 
 def motions(captures: Sequence[Capture], gripper_elsewhere: bool = False) -> list[list[int]]:
-    """Places of the files that show one motion together, if each shows one point of it; else empty.
+    """Indices of the files of each motion, if every file holds one point; else empty.
 
-    Several motions have folders, or words of their own at the beginning or the end of their files'
-    names, and the points' words at the other end.  A point is named after the gripper, unless this
-    is in other files.
+    Motions differ by folder, or by the first or last words of their files' names; the other words
+    name the point.  One point must be named after the gripper, unless that is in other files.
     """
-    inside = [contents(c) for c in captures]
-    single = all(len(i.points) == 1 and not i.has_gripper_sensor for i in inside)
-    if len(captures) < _FEWEST or not single:
+    contents_list = [contents(c) for c in captures]
+    single = all(len(i.points) == 1 and not i.has_gripper_sensor for i in contents_list)
+    if len(captures) < _MIN_POINTS or not single:
         return []
     words, best = [tuple(_words(c.path)) for c in captures], list[list[int]]()
-    for of_motion, of_point in _splits([c.path for c in captures], words):
+    for motion_keys, point_keys in _splits([c.path for c in captures], words):
         groups: dict[tuple[str, ...], list[int]] = {}
-        for i, motion in enumerate(of_motion):
+        for i, motion in enumerate(motion_keys):
             groups.setdefault(motion, []).append(i)
-        points = [sorted(of_point[i] for i in of) for of in groups.values()]
-        named = gripper_elsewhere or any(HAND.intersection(label) for label in points[0])
-        alike = all(p == points[0] for p in points) and len(set(points[0])) >= _FEWEST
-        if len(groups) > len(best) and named and alike and all(
-            on_one_grid([captures[i] for i in of]) for of in groups.values()
+        points = [sorted(point_keys[i] for i in group) for group in groups.values()]
+        has_gripper = gripper_elsewhere or any(HAND.intersection(label) for label in points[0])
+        same_points = all(p == points[0] for p in points) and len(set(points[0])) >= _MIN_POINTS
+        if len(groups) > len(best) and has_gripper and same_points and all(
+            on_one_grid([captures[i] for i in group]) for group in groups.values()
         ):  # fmt: skip
             best = list(groups.values())
     return best
@@ -114,7 +113,7 @@ _Words = tuple[str, ...]
 def _splits(
     paths: Sequence[Path], words: Sequence[_Words]
 ) -> Iterator[tuple[list[_Words], list[_Words]]]:
-    """Words of the motion and of the point of each file, as they may be told apart."""
+    """Candidate splits of each file's words into those of the motion and those of the point."""
     yield [(str(path.parent),) for path in paths], list(words)
     for count in range(min(map(len, words))):
         yield [w[:count] for w in words], [w[count:] for w in words]
@@ -122,10 +121,10 @@ def _splits(
 
 
 def tells_only_turns(hand: Capture, markers: Capture) -> bool:
-    """Whether a gripper's file has its orientation alone, and that of the markers its place."""
-    inside = contents(hand)
-    turns = bool(inside.quaternions or inside.angles)
-    if inside.points or inside.has_gripper_sensor or not turns:
+    """Whether the gripper's file has orientations only, and the markers' file its position."""
+    gripper = contents(hand)
+    has_orientation = bool(gripper.quaternions or gripper.angles)
+    if gripper.points or gripper.has_gripper_sensor or not has_orientation:
         return False
     return any(p.on_gripper for p in contents(markers).points) and same_times(markers, hand)
 
@@ -135,15 +134,15 @@ def _words(path: Path) -> list[str]:
 
 
 def _labels(paths: Sequence[Path]) -> list[str]:
-    """What the names of files have of their own, without what all begin or end with."""
+    """Distinct part of each file name, without the first and last words common to all."""
     pieces = [re.split(r"[\W_]+", path.stem) for path in paths]
-    before = _alike(pieces)
-    behind = _alike([found[::-1] for found in pieces])
-    own = (" ".join(found[before : len(found) - behind]) for found in pieces)
-    return [label or path.stem for label, path in zip(own, paths, strict=True)]
+    prefix = _common_start(pieces)
+    suffix = _common_start([words[::-1] for words in pieces])
+    distinct = (" ".join(words[prefix : len(words) - suffix]) for words in pieces)
+    return [label or path.stem for label, path in zip(distinct, paths, strict=True)]
 
 
-def _alike(pieces: Sequence[Sequence[str]]) -> int:
-    """How many words all begin with."""
+def _common_start(pieces: Sequence[Sequence[str]]) -> int:
+    """Number of first words that are common to all."""
     columns = zip(*pieces, strict=False)
     return next((i for i, c in enumerate(columns) if len(set(c)) > 1), min(map(len, pieces)))

@@ -19,24 +19,24 @@ from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
-#: Entries of a list of a message that are read, and columns in all: a picture is no measurement.
-_MOST_ENTRIES, _MOST_COLUMNS = 200, 2000
-_MOST_DEPTH = 8
-#: What its readers raise for a file that is torn or is something else.
+#: Maximum length of a list in a message, and maximum number of columns: images are skipped.
+_MAX_ENTRIES, _MAX_COLUMNS = 200, 2000
+_MAX_DEPTH = 8
+#: Exceptions of the readers for a truncated file or another format.
 _UNREADABLE = (
     McapError, ValueError, EOFError, LookupError, MemoryError, struct.error,
     OSError,  # it seeks before the beginning of a short file
 )  # fmt: skip
-#: Where a message says when it was measured.
+#: Fields that hold the time of measurement.
 _STAMPS = ("timestamp", "stamp", "time")
-#: Fields that are no measurement.
-_NO_NUMBERS = frozenset(("covariance", "header", "seq", "color", "scale", "lifetime", *_STAMPS))
+#: Fields without measurements.
+_IGNORED_FIELDS = frozenset(("covariance", "header", "seq", "color", "scale", "lifetime", *_STAMPS))
 
 
 def read_mcap(path: Path) -> Capture:
     """Read all numbers of all topics: one row per time, columns named topic and field.
 
-    A file without an index, or that ends in the middle, is read in sequence as far as it goes.
+    A file needs no index; a truncated one is read up to its last complete message.
 
     raises  InputError: it is no MCAP file, or no message can be decoded
     """
@@ -46,16 +46,16 @@ def read_mcap(path: Path) -> Capture:
         for t_s, name, value in _numbers(content, 0, log_s):
             rows.setdefault(t_s, {})[f"{topic} {name}"] = value
             names[f"{topic} {name}"] = None
-        if len(rows) > MAX_ROWS or len(names) > _MOST_COLUMNS:
+        if len(rows) > MAX_ROWS or len(names) > _MAX_COLUMNS:
             raise InputError.at(
                 path,
-                f"has more than {MAX_ROWS} times or {_MOST_COLUMNS} numbers; keep the topics with "
+                f"has more than {MAX_ROWS} times or {_MAX_COLUMNS} numbers; keep the topics with "
                 "markers and gripper, and cut it to the motion",
             )
     if not rows:
-        why = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
+        reason = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
         remedy = f"{install_extra('import')} decodes ROS 2 and protobuf"
-        raise InputError.at(path, f"holds no messages with numbers{why}; {remedy}")
+        raise InputError.at(path, f"holds no messages with numbers{reason}; {remedy}")
     times = sorted(rows)
     values = [[t, *(rows[t].get(n, np.nan) for n in names)] for t in times]
     columns = (CapturedColumn("time", "s"), *(CapturedColumn(n) for n in names))
@@ -100,12 +100,12 @@ def _messages(
 
 
 def _in_sequence(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[tuple[Any, Any, Any]]:
-    """Schema, channel and message as they stand: an index may lack, or not name all channels."""
+    """Schema, channel and message in the file's order: its index may be missing or incomplete."""
     count = 0
     try:
-        for found in NonSeekingReader(file).iter_messages(log_time_order=False):
+        for item in NonSeekingReader(file).iter_messages(log_time_order=False):
             count += 1
-            yield found
+            yield item
     except _UNREADABLE:
         if not count:
             raise
@@ -113,12 +113,12 @@ def _in_sequence(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[tuple
 
 
 def _factories() -> list[Any]:
-    """Decoders that are installed."""
-    found: list[Any] = []
+    """Decoder factories of the installed libraries."""
+    factories: list[Any] = []
     for library in ("mcap_ros2", "mcap_protobuf"):
         with suppress(ImportError):
-            found.append(import_module(f"{library}.decoder").DecoderFactory())
-    return found
+            factories.append(import_module(f"{library}.decoder").DecoderFactory())
+    return factories
 
 
 def _decoder(channel: Any, schema: Any) -> Any:
@@ -143,9 +143,9 @@ def _fields(content: Any) -> dict[str, Any]:
 def _numbers(
     content: Any, depth: int, log_s: float, name: str = ""
 ) -> Iterator[tuple[float, str, float]]:
-    """Every number of a message: when it was measured, the names of its fields, its value.
+    """Every number of a message: time of measurement, s, names of its fields, value.
 
-    log_s  when it was recorded, or what holds it was measured
+    log_s  time of recording, or of the enclosing message; used where there is no timestamp
     """
     match content:
         case bool() | str() | bytes() | None:
@@ -153,47 +153,47 @@ def _numbers(
         case int() | float():
             yield log_s, name.strip(), float(content)
             return
-    if depth > _MOST_DEPTH:
+    if depth > _MAX_DEPTH:
         return
     if isinstance(content, list | tuple) or (
         hasattr(content, "__getitem__") and not isinstance(content, dict)
     ):
-        if len(content) <= _MOST_ENTRIES:
+        if len(content) <= _MAX_ENTRIES:
             for i, item in enumerate(content):
                 yield from _numbers(item, depth + 1, log_s, f"{name} {_label(item, i)}")
         return
     stamp_s = _stamp(content)
     for key, item in _fields(content).items():
-        if key not in _NO_NUMBERS:
+        if key not in _IGNORED_FIELDS:
             at_s = log_s if stamp_s is None else stamp_s
             yield from _numbers(item, depth + 1, at_s, f"{name} {key}")
 
 
-def _label(item: Any, number: int) -> str:
-    """What an entry of a list calls itself, else its number."""
+def _label(item: Any, index: int) -> str:
+    """Name of a list entry by its own fields, else its index."""
     if isinstance(item, int | float | str | bytes):
-        return str(number)
+        return str(index)
     fields = _fields(item)
     if isinstance(space := fields.get("ns"), str) and "id" in fields:  # a marker of ROS
         return f"{space} {fields['id']}".strip()
     for key in ("child_frame_id", "name", "label", "marker_name", "id"):
-        said = fields.get(key)
-        if isinstance(said, str) and said:
-            return said
-    return str(number)
+        text = fields.get(key)
+        if isinstance(text, str) and text:
+            return text
+    return str(index)
 
 
 def _stamp(content: Any) -> float | None:
-    """When a message says that it was measured, s; None if it does not."""
+    """Timestamp of a message, s; None if it has none."""
     fields = _fields(content)
     if "header" in fields:
         fields = _fields(fields["header"])
     for key in _STAMPS:
-        if (said := fields.get(key)) is None:
+        if (stamp := fields.get(key)) is None:
             continue
-        if isinstance(said, int | float) and not isinstance(said, bool):
-            return float(said)
-        parts = {} if isinstance(said, str) else _fields(said)
+        if isinstance(stamp, int | float) and not isinstance(stamp, bool):
+            return float(stamp)
+        parts = {} if isinstance(stamp, str) else _fields(stamp)
         seconds = parts.get("sec", parts.get("seconds"))
         nanoseconds = parts.get("nanosec", parts.get("nsec", parts.get("nanos", 0)))
         if isinstance(seconds, int | float) and (seconds or nanoseconds):
