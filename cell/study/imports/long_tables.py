@@ -22,29 +22,29 @@ from cell.study.imports.row_trials import (
 from cell.study.imports.tracks import along_cable
 from cell.study.imports.whole_times import with_whole_times
 
-#: A table, and its columns of words by name.
+#: A table, and its text columns by name.
 Labelled = tuple[Capture, dict[str, list[str]]]
 
-#: Names of a column of whole numbers that tell markers apart.
-_NUMBERED = frozenset(
+#: Words in the names of integer columns that identify markers.
+_MARKER_WORDS = frozenset(
     ("marker", "id", "point", "node", "label", "landmark", "index", "track", "tid", "trajectory",
      "particle", "counter")
 )  # fmt: skip
-#: A melted table has one column of values, and its coordinate in a word.
+#: Names of the value column of a melted table, whose coordinates are named in a text column.
 _VALUES = frozenset(("value", "wert", "valeur", "valor"))
-#: Columns of words that name coordinates, whose words are read last; and of all that tell rows of
-#: one time apart.
-_OF_COORDINATE = frozenset(("field", "axis", "coord", "coordinate", "variable", "quantity"))
-_MOST_KEYS = 3
-#: Markers of a study, and a gripper's points; a column with more values is no name.
-_MOST_LABELS = 300
+#: Names of text columns that hold a coordinate's name, which comes last in a label; and maximum
+#: number of columns that identify the rows of one time.
+_COORDINATE_LABELS = frozenset(("field", "axis", "coord", "coordinate", "variable", "quantity"))
+_MAX_KEYS = 3
+#: Maximum number of labels; a column with more values does not name points.
+_MAX_LABELS = 300
 
 
 def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
-    """The table with one row per time, if each row has a single marker; else unchanged.
+    """Table with one row per time, if each row held a single marker; else unchanged.
 
-    labels  columns of text, by name
-    raises  InputError: a marker is there twice at one time
+    labels  text columns, by name
+    raises  InputError: a marker has two rows at one time
     """
     capture = with_whole_times(capture)
     time = time_column(capture)
@@ -57,49 +57,49 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     repeats = len(np.unique(t)) < len(t)
     if not repeats:
         return _without_text(capture, list(labels))
-    told = {n: w for n, w in labels.items() if _tells_apart(w)}
-    if not told:
+    texts = {n: w for n, w in labels.items() if _is_key(w)}
+    if not texts:
         capture, rows = along_cable(capture, time)
         labels = {n: [w[i] for i in rows] for n, w in labels.items()}
         t = capture.values[:, time]
-    told |= _numbered(capture, time)
-    chosen = _apart(t, told)
-    if not chosen:
+    texts |= _marker_numbers(capture, time)
+    keys = _key_columns(t, texts)
+    if not keys:
         return _without_text(capture, list(labels))
-    ids = frozenset(i for i, c in enumerate(capture.columns) if c.name in chosen)
-    capture = _without_text(capture, [n for n in labels if n not in chosen])
+    ids = frozenset(i for i, c in enumerate(capture.columns) if c.name in keys)
+    capture = _without_text(capture, [n for n in labels if n not in keys])
     values = [i for i, c in enumerate(capture.columns) if _is_value(c.name)]
     if any(meaning(c).kind is ColumnKind.COORDINATE for c in capture.columns):
         values = []  # the coordinates have columns of their own
-    rest = ids | {time} if not values else frozenset(range(len(capture.columns))) - {values[0]}
-    chosen.sort(key=lambda n: bool(_OF_COORDINATE & set(n.lower().split("_"))))
-    of_hand = [w[0] for w in labels.values() if len(set(w)) == 1 and w[0].lower() in HAND]
-    words = [" ".join([*of_hand, *p]) for p in zip(*(told[n] for n in chosen), strict=True)]
-    return _wide(capture, time, words, rest)
+    skipped = ids | {time} if not values else frozenset(range(len(capture.columns))) - {values[0]}
+    keys.sort(key=lambda n: bool(_COORDINATE_LABELS & set(n.lower().split("_"))))
+    prefix = [w[0] for w in labels.values() if len(set(w)) == 1 and w[0].lower() in HAND]
+    words = [" ".join([*prefix, *p]) for p in zip(*(texts[n] for n in keys), strict=True)]
+    return _wide(capture, time, words, skipped)
 
 
 def _with_trial_words(
     capture: Capture, labels: Mapping[str, Sequence[str]]
 ) -> tuple[Capture, dict[str, Sequence[str]]]:
-    """The table with a column of words that tells trials apart among its columns."""
-    rest = dict(labels)
+    """The table with the text column that identifies trials, and the other text columns."""
+    remaining = dict(labels)
     for name, words in labels.items():
-        with_them = with_words(capture, name, words)
-        if trial_column(with_them) == name:
-            return with_them, {n: w for n, w in rest.items() if n != name}
-    return capture, rest
+        extended = with_words(capture, name, words)
+        if trial_column(extended) == name:
+            return extended, {n: w for n, w in remaining.items() if n != name}
+    return capture, remaining
 
 
 def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], column: str) -> Capture:
-    """The same of each trial in the rows, one below the other, with the column that tells them.
+    """Pivot the rows of each trial by itself; stack the results, with the trials' column.
 
-    raises  InputError: a marker is there twice at one time of a trial
+    raises  InputError: a marker has two rows at one time of a trial
     """
-    told, parts = capture.column(column), list[Capture]()
+    trials, parts = capture.column(column), list[Capture]()
     place = capture.names.index(column)
-    for value, label in zip(np.unique(told), trial_labels(capture, column), strict=True):
-        rows = np.flatnonzero(told == value)
-        words = {name: [said[i] for i in rows.tolist()] for name, said in labels.items()}
+    for value, label in zip(np.unique(trials), trial_labels(capture, column), strict=True):
+        rows = np.flatnonzero(trials == value)
+        words = {name: [texts[i] for i in rows.tolist()] for name, texts in labels.items()}
         part = pivoted(rows_of(capture, {column: label}), words)
         parts.append(
             replace(
@@ -111,51 +111,50 @@ def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], colum
     return stacked_rows(parts)
 
 
-def _tells_apart(words: Sequence[str]) -> bool:
-    return 2 <= len(set(words)) <= min(_MOST_LABELS, len(words) - 1)
+def _is_key(words: Sequence[str]) -> bool:
+    return 2 <= len(set(words)) <= min(_MAX_LABELS, len(words) - 1)
 
 
-def _numbered(capture: Capture, time: int) -> dict[str, list[str]]:
-    """Columns of whole numbers that tell markers apart, as words."""
-    found = {}
+def _marker_numbers(capture: Capture, time: int) -> dict[str, list[str]]:
+    """Integer columns that identify markers, as labels."""
+    numbers = {}
     for index, column in enumerate(capture.columns):
         ids = capture.values[:, index]
-        named = _NUMBERED.intersection(column.name.lower().replace("_", " ").split())
-        whole = np.isfinite(ids).all() and np.all(ids == np.round(ids))
-        if named and whole and index != time and 2 <= len(np.unique(ids)) <= _MOST_LABELS:
-            found[column.name] = [f"marker {int(i)}" for i in ids]
-    return found
+        has_word = _MARKER_WORDS.intersection(column.name.lower().replace("_", " ").split())
+        integral = np.isfinite(ids).all() and np.all(ids == np.round(ids))
+        if has_word and integral and index != time and 2 <= len(np.unique(ids)) <= _MAX_LABELS:
+            numbers[column.name] = [f"marker {int(i)}" for i in ids]
+    return numbers
 
 
-def _apart(t: FloatArray, told: Mapping[str, Sequence[str]]) -> list[str]:
-    """The first column that tells rows of one time apart; else as many as do so together, else the
-    first."""
-    for count in range(1, min(len(told), _MOST_KEYS) + 1):
-        for names in combinations(told, count):
-            rows = set(zip(t.tolist(), *(told[n] for n in names), strict=True))
+def _key_columns(t: FloatArray, texts: Mapping[str, Sequence[str]]) -> list[str]:
+    """The fewest columns that, with the time, identify each row; else the first column."""
+    for count in range(1, min(len(texts), _MAX_KEYS) + 1):
+        for names in combinations(texts, count):
+            rows = set(zip(t.tolist(), *(texts[n] for n in names), strict=True))
             if len(rows) == len(t):
                 return list(names)
-    return list(told)[:1]
+    return list(texts)[:1]
 
 
 def one_row_per_time(capture: Capture) -> Capture:
-    """The table with rows of one time that complement or repeat each other as one, if then each row
-    has a time of its own; else unchanged."""
+    """Merge rows of one time that complement or repeat each other; unchanged if rows of one time
+    contradict each other."""
     name = contents(capture).time
     if name is None or len(capture.values) < 2:
         return capture
     t = capture.column(name)
-    begins = np.append(True, np.diff(t) != 0.0)
-    if begins.all() or not np.isfinite(t).all() or np.any(np.diff(t) < 0.0):
+    is_first = np.append(True, np.diff(t) != 0.0)
+    if is_first.all() or not np.isfinite(t).all() or np.any(np.diff(t) < 0.0):
         return capture
-    first = np.flatnonzero(begins)
+    first = np.flatnonzero(is_first)
     values = capture.values[first].copy()
-    place = np.cumsum(begins) - 1
-    for row in np.flatnonzero(~begins):
-        there, new = values[place[row]], capture.values[row]
-        if np.any(np.isfinite(there) & np.isfinite(new) & (there != new)):
+    time_index = np.cumsum(is_first) - 1
+    for row in np.flatnonzero(~is_first):
+        merged, row_values = values[time_index[row]], capture.values[row]
+        if np.any(np.isfinite(merged) & np.isfinite(row_values) & (merged != row_values)):
             return capture
-        values[place[row]] = np.where(np.isfinite(there), there, new)
+        values[time_index[row]] = np.where(np.isfinite(merged), merged, row_values)
     count = len(t) - len(first)
     note = f"{capture.path}: {count} rows have the time of the row before, and nothing else in it"
     return replace(
@@ -168,75 +167,75 @@ def one_row_per_time(capture: Capture) -> Capture:
 
 def time_column(capture: Capture) -> int | None:
     """Index of the column that identifies rows of one time: times, else frame numbers."""
-    said = [meaning(c) for c in capture.columns]
+    kinds = [meaning(c) for c in capture.columns]
     for kind in (ColumnKind.TIME, ColumnKind.FRAME):
-        of_kind = [i for i, m in enumerate(said) if m.kind is kind]
-        of_kind.sort(key=lambda i: "header" not in said[i].group.split())  # stamped by its sensor
-        if of_kind:  # one value throughout is when a recording began
-            moving = (i for i in of_kind if len(np.unique(capture.values[:, i])) > 1)
-            return next(moving, of_kind[0])
+        places = [i for i, m in enumerate(kinds) if m.kind is kind]
+        places.sort(key=lambda i: "header" not in kinds[i].group.split())  # stamped by its sensor
+        if places:  # a constant is the start time of the recording
+            varying = (i for i in places if len(np.unique(capture.values[:, i])) > 1)
+            return next(varying, places[0])
     return None
 
 
 def _without_text(capture: Capture, names: Sequence[str]) -> Capture:
-    told = [f"{capture.path}: column {n!r} holds words; it is not read" for n in names]
-    return replace(capture, notes=(*capture.notes, *told))
+    skipped = [f"{capture.path}: column {n!r} holds words; it is not read" for n in names]
+    return replace(capture, notes=(*capture.notes, *skipped))
 
 
 def _wide(capture: Capture, time: int, words: Sequence[str], keys: frozenset[int]) -> Capture:
-    """Rows of one time beside each other, columns named after marker and coordinate."""
+    """Table with one row per time, and columns named after marker and coordinate."""
     t = capture.values[:, time]
     names = list(dict.fromkeys(words))
-    times, places = np.unique(t, return_inverse=True)
-    rest = [c for c in range(len(capture.columns)) if c not in keys]
-    wide = np.full((len(times), len(names), len(rest)), np.nan)
-    taken: dict[tuple[int, int], int] = {}
-    again: list[int] = []
-    for row, (place, word) in enumerate(zip(places, words, strict=True)):
-        key = int(place), names.index(word)
-        if key in taken and _is_again(capture, row, taken[key]):
-            again.append(row)
+    times, time_indices = np.unique(t, return_inverse=True)
+    value_columns = [c for c in range(len(capture.columns)) if c not in keys]
+    wide = np.full((len(times), len(names), len(value_columns)), np.nan)
+    row_of_key: dict[tuple[int, int], int] = {}
+    dups: list[int] = []
+    for row, (time_index, word) in enumerate(zip(time_indices, words, strict=True)):
+        key = int(time_index), names.index(word)
+        if key in row_of_key and _is_duplicate(capture, row, row_of_key[key]):
+            dups.append(row)
             continue
-        if key in taken:
-            first = capture.lines[taken[key]]
+        if key in row_of_key:
+            first = capture.lines[row_of_key[key]]
             raise capture.error(
                 row, f"{word!r} is there twice at {t[row]:g}, first in line {first}; "
                 "remove one, or give the two markers names of their own",
             )  # fmt: skip
-        taken[key] = row
-        wide[key] = capture.values[row, rest]
+        row_of_key[key] = row
+        wide[key] = capture.values[row, value_columns]
     first = np.full(len(times), np.iinfo(np.intp).max, dtype=np.intp)
-    np.minimum.at(first, places, capture.lines)
-    made = [
+    np.minimum.at(first, time_indices, capture.lines)
+    all_series = [
         (
             CapturedColumn(_name(word, capture.columns[c].name), capture.columns[c].unit),
             wide[:, i, k],
         )
         for i, word in enumerate(names)
-        for k, c in enumerate(rest)
+        for k, c in enumerate(value_columns)
     ]
-    seen = [(column, series) for column, series in made if np.isfinite(series).any()]
+    nonempty = [(column, series) for column, series in all_series if np.isfinite(series).any()]
     notes = capture.notes
-    if again:
-        note = f"{capture.path}:{capture.lines[again[0]]}: {len(again)} rows repeat another one of "
+    if dups:
+        note = f"{capture.path}:{capture.lines[dups[0]]}: {len(dups)} rows repeat another one of "
         notes = (*notes, f"{note}their time in all numbers; each counts once")
     return replace(
         capture,
         notes=notes,
-        columns=(capture.columns[time], *(column for column, _ in seen)),
-        values=np.column_stack([times, *(series for _, series in seen)]),
+        columns=(capture.columns[time], *(column for column, _ in nonempty)),
+        values=np.column_stack([times, *(series for _, series in nonempty)]),
         lines=first,
     )
 
 
-def _is_again(capture: Capture, row: int, other: int) -> bool:
-    """Whether two rows have the same numbers, whenever they were received."""
-    kept = [i for i, c in enumerate(capture.columns) if meaning(c).kind is not ColumnKind.TIME]
-    return np.array_equal(capture.values[row, kept], capture.values[other, kept], equal_nan=True)
+def _is_duplicate(capture: Capture, row: int, other: int) -> bool:
+    """Whether two rows agree in all columns except times."""
+    used = [i for i, c in enumerate(capture.columns) if meaning(c).kind is not ColumnKind.TIME]
+    return np.array_equal(capture.values[row, used], capture.values[other, used], equal_nan=True)
 
 
 def _name(word: str, column: str) -> str:
-    """A melted table has its coordinate in the word: there a column `value` adds nothing."""
+    """Label and column name; in a melted table the label alone, which names the coordinate."""
     return word if _is_value(column) else f"{word} {column}"
 
 
@@ -245,43 +244,43 @@ def _is_value(column: str) -> bool:
 
 
 def stacked(parts: Sequence[Labelled]) -> list[Labelled]:
-    """Tables with their columns of words; those that go on with one another are one."""
-    found: list[Labelled] = []
+    """Tables with their text columns; consecutive tables with equal columns are concatenated."""
+    merged: list[Labelled] = []
     for part, labels in parts:
-        if found and labels:
-            last, words = found[-1]
+        if merged and labels:
+            last, words = merged[-1]
             if last.columns == part.columns and list(words) == list(labels):
-                whole = replace(
+                combined = replace(
                     last,
                     values=np.vstack([last.values, part.values]),
                     lines=np.append(last.lines, part.lines),
                     notes=tuple(dict.fromkeys((*last.notes, *part.notes))),
                 )
-                found[-1] = whole, {n: [*words[n], *labels[n]] for n in words}
+                merged[-1] = combined, {n: [*words[n], *labels[n]] for n in words}
                 continue
-        found.append((part, labels))
-    return found
+        merged.append((part, labels))
+    return merged
 
 
-def point_by_point(read: Sequence[Capture]) -> Capture | None:
-    """Tables of one point each under the same names and at the same times, side by side.
+def point_by_point(tables: Sequence[Capture]) -> Capture | None:
+    """Join tables of one point each, with equal column names and times, side by side.
 
-    None = they are not that; a point without a name is `marker 1` in the first table.
+    None = the tables differ.  The first table's point is named `marker 1`, and so on.
     """
-    first, point = read[0], contents(read[0]).points
+    first, point = tables[0], contents(tables[0]).points
     time = time_column(first)
-    if len(read) < 2 or len(point) != 1 or time is None:
+    if len(tables) < 2 or len(point) != 1 or time is None:
         return None
-    if any(t.names != first.names or not same_frames(first, t) for t in read):
+    if any(t.names != first.names or not same_frames(first, t) for t in tables):
         return None
-    rest = [i for i in range(len(first.columns)) if i != time]
+    value_columns = [i for i in range(len(first.columns)) if i != time]
     columns = [
         CapturedColumn(f"marker {n} {first.columns[i].name}", first.columns[i].unit)
-        for n in range(1, len(read) + 1)
-        for i in rest
+        for n in range(1, len(tables) + 1)
+        for i in value_columns
     ]
-    values = [first.values[:, [time]], *(table.values[:, rest] for table in read)]
-    notes = (note for table in read for note in table.notes)
+    values = [first.values[:, [time]], *(table.values[:, value_columns] for table in tables)]
+    notes = (note for table in tables for note in table.notes)
     return replace(
         first,
         columns=(first.columns[time], *columns),
@@ -290,70 +289,70 @@ def point_by_point(read: Sequence[Capture]) -> Capture | None:
     )
 
 
-def same_frames(one: Capture, other: Capture) -> bool:
+def same_frames(first: Capture, second: Capture) -> bool:
     """Whether two tables have a row for each of the same frames or times."""
-    first, second = time_column(one), time_column(other)
-    if first is None or second is None:
+    first_time, second_time = time_column(first), time_column(second)
+    if first_time is None or second_time is None:
         return False
-    return np.array_equal(one.values[:, first], other.values[:, second])
+    return np.array_equal(first.values[:, first_time], second.values[:, second_time])
 
 
-def on_one_clock(one: Capture, other: Capture) -> Capture | None:
-    """Rows of a table, and of one of the gripper at other times of the same column, by time.
+def on_one_clock(table: Capture, gripper: Capture) -> Capture | None:
+    """Merge the rows of a table and of a gripper's table with other times, sorted by time.
 
-    None = the other is not of a gripper, or they have not one clock.
+    None = the second holds no gripper, or the time columns differ.
     """
-    times = [None if (i := time_column(t)) is None else t.columns[i] for t in (one, other)]
-    trial, time = trial_column(one), times[0]
-    shared = {name for name in one.names if name in other.names}
+    times = [None if (i := time_column(t)) is None else t.columns[i] for t in (table, gripper)]
+    trial, time = trial_column(table), times[0]
+    shared = {name for name in table.names if name in gripper.names}
     if time is None or times[1] != time or shared != {time.name} | ({trial} - {None}):
         return None
-    inside, of_first = contents(other), contents(one)
-    of_gripper = any(p.on_gripper for p in inside.points) or inside.angles
-    spans = [(t.column(time.name).min(), t.column(time.name).max()) for t in (one, other)]
-    apart = spans[0][1] < spans[1][0] or spans[1][1] < spans[0][0]
-    has_its_own = any(p.on_gripper for p in of_first.points) or of_first.angles
-    if not of_gripper or has_its_own or apart or of_first.counts or trial != trial_column(other):
+    of_gripper, of_table = contents(gripper), contents(table)
+    is_gripper = any(p.on_gripper for p in of_gripper.points) or of_gripper.angles
+    spans = [(t.column(time.name).min(), t.column(time.name).max()) for t in (table, gripper)]
+    disjoint = spans[0][1] < spans[1][0] or spans[1][1] < spans[0][0]
+    has_own = any(p.on_gripper for p in of_table.points) or of_table.angles
+    if not is_gripper or has_own or disjoint or of_table.counts or trial != trial_column(gripper):
         return None
-    whole = stacked_rows([one, other])
-    order = np.argsort(whole.column(time.name), kind="stable")
+    merged = stacked_rows([table, gripper])
+    order = np.argsort(merged.column(time.name), kind="stable")
     if trial is not None:
-        order = order[np.argsort(whole.column(trial)[order], kind="stable")]
-    return replace(whole, values=whole.values[order], lines=whole.lines[order])
+        order = order[np.argsort(merged.column(trial)[order], kind="stable")]
+    return replace(merged, values=merged.values[order], lines=merged.lines[order])
 
 
 def trials_of_blocks(read: Sequence[Capture], titles: Mapping[int, str]) -> Capture | None:
-    """Tables that are trials one below the other, with a column that tells them apart.
+    """Concatenate tables that are trials, with a column that identifies the trial.
 
-    None = they are not trials: these have the same columns, several of them beside a point's, and
-    times that begin again.
+    None = they are not trials.  Trials have equal columns, more than those of one point, and times
+    that restart.
 
-    titles  of the tables by the lines of their first rows
+    titles  titles of the tables, by the line number of their first row
     """
-    first, inside = read[0], contents(read[0])
-    several = len(inside.points) > 1 or (inside.points and inside.angles)
-    if len(read) < 2 or not several or inside.time is None or "trial" in first.names:
+    first, first_contents = read[0], contents(read[0])
+    several = len(first_contents.points) > 1 or (first_contents.points and first_contents.angles)
+    if len(read) < 2 or not several or first_contents.time is None or "trial" in first.names:
         return None
     if any(t.columns != first.columns for t in read):
         return None
-    starts = [float(t.column(inside.time)[0]) for t in read]
-    if any(t.column(inside.time)[-1] < max(starts) for t in read):
+    starts = [float(t.column(first_contents.time)[0]) for t in read]
+    if any(t.column(first_contents.time)[-1] < max(starts) for t in read):
         return None
     words = [titles.get(int(t.lines[0]), "") for t in read]
     if len(set(words)) < len(words):
         words = [str(number) for number in range(1, len(read) + 1)]
-    named = [with_words(t, "trial", [w] * len(t.values)) for t, w in zip(read, words, strict=True)]
-    made = stacked_rows(named)
+    parts = [with_words(t, "trial", [w] * len(t.values)) for t, w in zip(read, words, strict=True)]
+    trials = stacked_rows(parts)
     note = f"{first.path}: {len(read)} tables with the same columns are trials of their own"
-    return replace(made, notes=(*made.notes, note)) if trial_column(made) else None
+    return replace(trials, notes=(*trials.notes, note)) if trial_column(trials) else None
 
 
-def joined(one: Capture, other: Capture) -> Capture:
-    """A table with the columns of another that it does not have, row by row."""
-    new = [i for i, name in enumerate(other.names) if name not in one.names]
+def joined(table: Capture, extra: Capture) -> Capture:
+    """A table with the columns of `extra` that it lacks, row by row."""
+    new = [i for i, name in enumerate(extra.names) if name not in table.names]
     return replace(
-        one,
-        columns=(*one.columns, *(other.columns[i] for i in new)),
-        values=np.hstack([one.values, other.values[:, new]]),
-        notes=(*one.notes, *other.notes),
+        table,
+        columns=(*table.columns, *(extra.columns[i] for i in new)),
+        values=np.hstack([table.values, extra.values[:, new]]),
+        notes=(*table.notes, *extra.notes),
     )

@@ -1,4 +1,4 @@
-"""Rows of detections whose numbers a tracking program gives: lost points go on under new ones."""
+"""Joins and numbers tracks of a tracking program, which gives lost points new numbers."""
 
 from __future__ import annotations
 
@@ -13,98 +13,98 @@ from cell.study.imports.choosing import from_end
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Point
 
-#: Words of columns with numbers that a program gives to what it follows, in each film anew.
+#: Words in the names of columns with track numbers, which restart in each film.
 _TRACK = frozenset(("track", "tid", "trajectory", "particle"))
-#: Frames in which a point may be lost; what is seen in fewer is none; a still one moves less.
-_MOST_LOST, _FEWEST_SHARE, _STILL = 12, 0.1, 0.02
-#: A point is where it is expected within this share of the way to the next one.
-_NEAR = 0.5
+#: Maximum frames without a point, minimum fraction of frames with it, minimum relative motion.
+_MAX_LOST, _MIN_VISIBLE, _MIN_MOTION = 12, 0.1, 0.02
+#: Maximum distance from the expected position, as a fraction of that to the next point.
+_MAX_DISTANCE = 0.5
 
 
 def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
-    """The rows of points that move, numbered from the end that rests first; else unchanged.
+    """Rows of moving points, numbered from the end that rests first; else unchanged.
 
-    A track that begins next to where another one has ended, as its neighbour moved, goes on with
-    it.  Rows without a number are left out; the second item is which are kept.
+    A track that begins near the end of another, moved as its neighbour, continues it.  Rows without
+    a number are dropped; the second item is the indices of the retained rows.
     """
-    every = range(len(capture.values))
-    of_track = next((i for i, c in enumerate(capture.columns)
-                     if _TRACK & set(c.name.lower().replace("_", " ").split())), None)  # fmt: skip
+    all_rows = range(len(capture.values))
+    column = next((i for i, c in enumerate(capture.columns)
+                   if _TRACK & set(c.name.lower().replace("_", " ").split())), None)  # fmt: skip
     axes = {m.axis: i for i, c in reversed(list(enumerate(capture.columns)))
             if (m := meaning(c)).kind is ColumnKind.COORDINATE}  # fmt: skip
-    if of_track is None or not {"x", "y"} <= set(axes):
-        return capture, every
-    ids = capture.values[:, of_track]
-    known = np.isfinite(ids)
+    if column is None or not {"x", "y"} <= set(axes):
+        return capture, all_rows
+    ids = capture.values[:, column]
+    numbered = np.isfinite(ids)
     times, frames = np.unique(capture.values[:, time], return_inverse=True)
-    numbers = np.unique(ids[known])
-    if not 2 <= len(numbers) <= len(times) or 2 * known.sum() < len(ids):
-        return capture, every
+    numbers = np.unique(ids[numbered])
+    if not 2 <= len(numbers) <= len(times) or 2 * numbered.sum() < len(ids):
+        return capture, all_rows
     places = np.full((len(numbers), len(times), 2), np.nan)
-    track = np.searchsorted(numbers, np.where(known, ids, numbers[0]))
-    places[track[known], frames[known]] = capture.values[known][:, [axes["x"], axes["y"]]]
-    if np.isfinite(places[..., 0]).sum() < known.sum():  # two rows of one track at one time
-        return capture, every
-    into = _joined_tracks(places)
-    for i, first in enumerate(into):
+    track = np.searchsorted(numbers, np.where(numbered, ids, numbers[0]))
+    places[track[numbered], frames[numbered]] = capture.values[numbered][:, [axes["x"], axes["y"]]]
+    if np.isfinite(places[..., 0]).sum() < numbered.sum():  # two rows of one track at one time
+        return capture, all_rows
+    heads = _joined_tracks(places)
+    for i, first in enumerate(heads):
         if first != i:
             places[first] = np.where(np.isfinite(places[i]), places[i], places[first])
-    seen = np.isfinite(places[..., 0]).mean(axis=1)
-    reach = [float(np.linalg.norm(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places]
-    good = (seen >= _FEWEST_SHARE) & (np.array(reach) > _STILL * max(reach))
-    kept = [i for i, first in enumerate(into) if first == i and good[i]]
-    if len(kept) < 2:
-        return capture, every
-    order = from_end([Point(str(i), (), "") for i in kept], {str(i): places[i] for i in kept})
+    visible = np.isfinite(places[..., 0]).mean(axis=1)
+    spans = [float(np.linalg.norm(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places]
+    valid = (visible >= _MIN_VISIBLE) & (np.array(spans) > _MIN_MOTION * max(spans))
+    used = [i for i, first in enumerate(heads) if first == i and valid[i]]
+    if len(used) < 2:
+        return capture, all_rows
+    order = from_end([Point(str(i), (), "") for i in used], {str(i): places[i] for i in used})
     rank = {int(p.name): float(number) for number, p in enumerate(order, 1)}
-    made = np.array([rank.get(into[i], np.nan) for i in track])
-    rows = known & np.isfinite(made)
+    renumbered = np.array([rank.get(heads[i], np.nan) for i in track])
+    rows = numbered & np.isfinite(renumbered)
     values = capture.values.copy()
-    values[:, of_track] = made
-    left_out = len(rows) - int(rows.sum())
-    ends = ", ".join(f"{numbers[i]:g} with {numbers[f]:g}" for i, f in enumerate(into) if f != i)
+    values[:, column] = renumbered
+    dropped = len(rows) - int(rows.sum())
+    pairs = ", ".join(f"{numbers[i]:g} with {numbers[f]:g}" for i, f in enumerate(heads) if f != i)
     note = f"{capture.path}: tracks are numbered along the cable, from the end that rests first"
-    note += f"; those that go on under another number are joined: {ends}" if ends else ""
-    note += f"; {left_out} rows of no track, or of one that is short or still, are left out"
-    made_of = replace(capture, values=values[rows], lines=capture.lines[rows])
-    return replace(made_of, notes=(*capture.notes, note)), np.flatnonzero(rows).tolist()
+    note += f"; those that go on under another number are joined: {pairs}" if pairs else ""
+    note += f"; {dropped} rows of no track, or of one that is short or still, are left out"
+    result = replace(capture, values=values[rows], lines=capture.lines[rows])
+    return replace(result, notes=(*capture.notes, note)), np.flatnonzero(rows).tolist()
 
 
 def _joined_tracks(places: FloatArray) -> list[int]:
-    """Which track each one goes on with; itself if it begins by itself.
+    """Index of the first track that each track continues; its own index if it continues none.
 
     places  (tracks, frames, 2), nan = not seen
     """
-    seen = np.isfinite(places[..., 0])
-    begins, ends = seen.argmax(axis=1), seen.shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
-    into = list(range(len(places)))
+    visible = np.isfinite(places[..., 0])
+    begins, ends = visible.argmax(axis=1), visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
+    heads = list(range(len(places)))
     for new in np.argsort(begins, kind="stable").tolist():
         gaps = [(o, int(begins[new] - ends[o])) for o in range(len(places))]
-        old = [o for o, gap in gaps if 0 < gap <= _MOST_LOST and o not in _continued(into)]
-        away = {o: _away(places, o, new, int(ends[o]), int(begins[new])) for o in old}
-        others = [o for o in np.flatnonzero(seen[:, begins[new]]).tolist() if o != new]
-        if not away or not others:
+        old = [o for o, gap in gaps if 0 < gap <= _MAX_LOST and o not in _continued(heads)]
+        distances = {o: _distance(places, o, new, int(ends[o]), int(begins[new])) for o in old}
+        others = [o for o in np.flatnonzero(visible[:, begins[new]]).tolist() if o != new]
+        if not distances or not others:
             continue
-        best = min(away, key=lambda o: away[o])
-        at = places[others, begins[new]] - places[new, begins[new]]
-        if away[best] < _NEAR * float(np.linalg.norm(at, axis=1).min()):
-            into[new] = best
-    return [_first_of(into, i) for i in range(len(into))]
+        best = min(distances, key=lambda o: distances[o])
+        offsets = places[others, begins[new]] - places[new, begins[new]]
+        if distances[best] < _MAX_DISTANCE * float(np.linalg.norm(offsets, axis=1).min()):
+            heads[new] = best
+    return [_first_of(heads, i) for i in range(len(heads))]
 
 
-def _continued(into: Sequence[int]) -> set[int]:
-    return {first for i, first in enumerate(into) if first != i}
+def _continued(heads: Sequence[int]) -> set[int]:
+    return {first for i, first in enumerate(heads) if first != i}
 
 
-def _first_of(into: Sequence[int], i: int) -> int:
-    return i if into[i] == i else _first_of(into, into[i])
+def _first_of(heads: Sequence[int], i: int) -> int:
+    return i if heads[i] == i else _first_of(heads, heads[i])
 
 
-def _away(places: FloatArray, old: int, new: int, ended: int, begun: int) -> float:
-    """How far a track begins from where another one would be, had it moved as its neighbour."""
-    apart = np.linalg.norm(places[:, ended] - places[old, ended], axis=1)
-    apart[old] = np.nan
-    both = np.flatnonzero(np.isfinite(apart) & np.isfinite(places[:, begun, 0]))
-    nearest = both[np.argmin(apart[both])] if len(both) else old
-    moved = places[nearest, begun] - places[nearest, ended] if len(both) else np.zeros(2)
-    return float(np.linalg.norm(places[old, ended] + moved - places[new, begun]))
+def _distance(places: FloatArray, old: int, new: int, end: int, start: int) -> float:
+    """Distance of a track's start from another's end, if that moved as its neighbour."""
+    distances = np.linalg.norm(places[:, end] - places[old, end], axis=1)
+    distances[old] = np.nan
+    visible = np.flatnonzero(np.isfinite(distances) & np.isfinite(places[:, start, 0]))
+    nearest = visible[np.argmin(distances[visible])] if len(visible) else old
+    moved = places[nearest, start] - places[nearest, end] if len(visible) else np.zeros(2)
+    return float(np.linalg.norm(places[old, end] + moved - places[new, start]))
