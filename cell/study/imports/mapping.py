@@ -1,4 +1,4 @@
-"""The mapping file, cable-import/1: which column is what, in which unit, along which axes."""
+"""The mapping file, cable-import/1: meaning, unit and axis of every column."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from cell.study.wrench import SensorEntry, sensor_entry
 
 
 class WrenchSection(SensorEntry):
-    """What a study says of its sensor, and where its values are.
+    """The sensor's entries of a study, and the columns of its values.
 
     columns  of force x, force y and moment; null = not measured
     newtons_per_unit, newton_metres_per_unit  negative: the sensor shows what acts on the gripper
@@ -51,14 +51,14 @@ class WrenchSection(SensorEntry):
     newton_metres_per_unit: Finite = 1.0
 
     def wrench(self, capture: Capture, t_s: FloatArray) -> Wrench | None:
-        """What a file shows of it; None = nothing.  Raises InputError: there is no such column."""
+        """Wrench of a file; None = no values.  Raises InputError: there is no such column."""
         units = (self.newtons_per_unit, self.newtons_per_unit, self.newton_metres_per_unit)
         values = np.full((len(t_s), len(units)), np.nan)
         for axis, (name, unit) in enumerate(zip(self.columns, units, strict=True)):
             if name is not None:
                 values[:, axis] = capture.column(name) * unit
-        shown = np.isfinite(values).any(axis=1)
-        return Wrench(t_s[shown], values[shown]) if shown.any() else None
+        measured = np.isfinite(values).any(axis=1)
+        return Wrench(t_s[measured], values[measured]) if measured.any() else None
 
 
 def wrench_section(study: Study, names: Sequence[str]) -> WrenchSection | None:
@@ -66,15 +66,15 @@ def wrench_section(study: Study, names: Sequence[str]) -> WrenchSection | None:
     wrenches = [t.wrench for t in study.trials if t.wrench is not None]
     if not wrenches:
         return None
-    there = np.any([np.isfinite(w.values).any(axis=0) for w in wrenches], axis=0)
-    columns = [name if seen else None for name, seen in zip(names, there, strict=True)]
+    measured = np.any([np.isfinite(w.values).any(axis=0) for w in wrenches], axis=0)
+    columns = [name if present else None for name, present in zip(names, measured, strict=True)]
     return WrenchSection(columns=columns, **sensor_entry(study.sensor))
 
 
 FORMAT: Final = "cable-import/1"
 FILE = "import.yaml"
 
-#: By so much the two directions may miss length 1 and a right angle: numbers of three digits.
+#: Tolerance of unit length and of the right angle, for numbers with three digits.
 NOT_SQUARE = 2e-3
 
 
@@ -94,12 +94,12 @@ class TrialEntry(SectionPart):
     """A trial; file names are relative to the mapping's folder.
 
     joined_files    files with the same times, whose columns are joined to those of `file`
-    only    values of columns in its rows, where its files hold several trials; empty = all rows
+    only    column values that select its rows, where files hold several trials; empty = all rows
     clock_offset_s  added to the times of the gripper's file
     hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
-                    accelerometer tells this: what the integral misses the end by is closed
+                    accelerometer measures it: the integral's error at the end is corrected
     hand_drift      error of the gripper's place, as a study states it
-    text, hand_text  how its files are written; None = as `text` and `hand.text` say
+    text, hand_text  format of its files; None = as `text` and `hand.text`
     seconds_per_unit, hand_seconds_per_unit  of its files' times, or None as for `text`
     """
 
@@ -122,9 +122,9 @@ class TrialEntry(SectionPart):
 
 
 class Mapping(SectionPart):
-    """All of the file.
+    """Contents of the mapping file.
 
-    frames  column that is not 0 in the rows of frames; None = these are rows that show a marker
+    frames  column that is not 0 in the rows of frames; None = frames are rows that show a marker
     """
 
     format: Literal["cable-import/1"]
@@ -144,18 +144,18 @@ class Mapping(SectionPart):
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
     def of_trial(self, trial: TrialEntry) -> Mapping:
-        """The same for one trial, with what it says of its own files."""
-        time = _counting(self.time, trial.seconds_per_unit)
+        """The mapping for one trial, with the entries that it overrides."""
+        time = _with_time_unit(self.time, trial.seconds_per_unit)
         hand_time = self.hand.time
         if hand_time is not None or trial.hand_seconds_per_unit is not None:
-            hand_time = _counting(hand_time or time, trial.hand_seconds_per_unit)
-        of_hand = {"time": hand_time, "text": trial.hand_text or self.hand.text}
-        hand = self.hand.model_copy(update=of_hand)
-        of_files = {"time": time, "text": trial.text or self.text, "hand": hand}
-        return self.model_copy(update=of_files)
+            hand_time = _with_time_unit(hand_time or time, trial.hand_seconds_per_unit)
+        hand_values = {"time": hand_time, "text": trial.hand_text or self.hand.text}
+        hand = self.hand.model_copy(update=hand_values)
+        values = {"time": time, "text": trial.text or self.text, "hand": hand}
+        return self.model_copy(update=values)
 
 
-def _counting(time: TimeSection, seconds_per_unit: float | None) -> TimeSection:
+def _with_time_unit(time: TimeSection, seconds_per_unit: float | None) -> TimeSection:
     if seconds_per_unit is None:
         return time
     return time.model_copy(update={"seconds_per_unit": seconds_per_unit})
@@ -173,7 +173,7 @@ class ReadMapping:
         return InputError([self.document.problem(key, message)])
 
     def of_trial(self, trial: TrialEntry) -> ReadMapping:
-        """The same for one trial, with what it says of its own files."""
+        """The mapping for one trial, with the entries that it overrides."""
         return ReadMapping(self.mapping.of_trial(trial), self.document)
 
     def file(self, name: str) -> Path:
@@ -186,16 +186,16 @@ def read_mapping(path: Path) -> ReadMapping:
     document = read_yaml(path)
     mapping = validate(document, Mapping)
     complaints = [*_missing(mapping), *_axes(mapping), *gripper_complaints(mapping.hand)]
-    complaints += [*_twice(mapping), *_of_sensors(mapping)]
+    complaints += [*_duplicates(mapping), *_sensor_complaints(mapping)]
     if complaints:
         raise InputError(document.problems(complaints))
     return ReadMapping(mapping, document)
 
 
 def _missing(mapping: Mapping) -> Iterator[Complaint]:
-    """Entries that the file leaves to be filled in."""
+    """Complaints about required entries that are not filled in."""
     cable = mapping.cable
-    wanted: list[tuple[Key, Any, str]] = [
+    required: list[tuple[Key, Any, str]] = [
         (("cable", "free_length_m"), cable.free_length_m,
          "measure the cable from the gripping point to its tip"),
         (("cable", "line_density_kg_per_m"), cable.line_density_kg_per_m,
@@ -207,12 +207,12 @@ def _missing(mapping: Mapping) -> Iterator[Complaint]:
     ]  # fmt: skip
     if mapping.hand.time is not None:
         key = ("hand", "time", "seconds_per_unit")
-        wanted.append((key, _seconds_per_unit(mapping, lambda of: of.hand.time), wanted[2][2]))
+        required.append((key, _seconds_per_unit(mapping, lambda of: of.hand.time), required[2][2]))
     for i, marker in enumerate(mapping.markers):
         where: Key = ("markers", i, "arc_length_m")
-        wanted.append((where, marker.arc_length_m, "measure it along the cable from the clamp"))
-    given = [(key, remedy) for key, value, remedy in wanted if value is None]
-    for entry, remedy in [*given, *entries_to_fill_in(mapping.hand)]:
+        required.append((where, marker.arc_length_m, "measure it along the cable from the clamp"))
+    missing = [(key, remedy) for key, value, remedy in required if value is None]
+    for entry, remedy in [*missing, *entries_to_fill_in(mapping.hand)]:
         yield entry, f"is not known from the file: {remedy}"
     if cable.diameter_m is None and (cable.width_m is None or cable.thickness_m is None):
         message = "its section is not known from the file: give width_m and thickness_m of a flat "
@@ -222,45 +222,45 @@ def _missing(mapping: Mapping) -> Iterator[Complaint]:
 def _seconds_per_unit(
     mapping: Mapping, section: Callable[[Mapping], TimeSection | None]
 ) -> float | None:
-    """Seconds a unit of a trial's times; None where a trial has none."""
+    """Seconds a unit of the first trial's times; None if any trial has none."""
     sections = [section(mapping.of_trial(t)) for t in mapping.trials]
     units = [None if s is None else s.seconds_per_unit for s in sections]
     return None if None in units else units[0]
 
 
 def _axes(mapping: Mapping) -> list[Complaint]:
-    """Directions that are no right-angled pair along the columns of the points."""
-    found: list[Complaint] = []
+    """Complaints about axes that are not orthonormal, or do not match the columns of points."""
+    complaints: list[Complaint] = []
     markers = [(("markers", i), m.columns) for i, m in enumerate(mapping.markers)]
     sections: list[tuple[Key, AxesSection, list[Any]]] = [(("axes",), mapping.axes, markers)]
     hand = mapping.hand
     if hand.along_columns is not None:
         key: Key = ("axes",) if hand.axes is None else ("hand", "axes")
-        place: Key = ("hand", *(["acceleration"] if hand.acceleration is not None else []))
-        sections.append((key, hand.axes or mapping.axes, [(place, hand.along_columns)]))
+        location: Key = ("hand", *(["acceleration"] if hand.acceleration is not None else []))
+        sections.append((key, hand.axes or mapping.axes, [(location, hand.along_columns)]))
     for key, axes, points in sections:
         right, up = np.array(axes.right), np.array(axes.up)
         if len(right) != len(up):
             message = f"has {len(right)} numbers, up {len(up)}; give one for each column of a point"
-            found.append(((*key, "right"), message))
+            complaints.append(((*key, "right"), message))
             continue
         for point, columns in points:
             if len(columns) != len(right):
                 message = f"names {counted(len(columns), 'column')}, the axes {len(right)}; "
-                found.append(((*point, "columns"), f"{message}give as many"))
+                complaints.append(((*point, "columns"), f"{message}give as many"))
         for name, vector in (("right", right), ("up", up)):
             length = np.linalg.norm(vector)
             if abs(length - 1.0) > NOT_SQUARE:
                 message = f"has length {length:.4g}, limit 1 ± {NOT_SQUARE}; give a direction such "
-                found.append(((*key, name), f"{message}as {_unit(vector)}"))
-        if not found and abs(right @ up) > NOT_SQUARE:
+                complaints.append(((*key, name), f"{message}as {_nearest_axis(vector)}"))
+        if not complaints and abs(right @ up) > NOT_SQUARE:
             angle = np.degrees(np.arccos(np.clip(right @ up, -1.0, 1.0)))
             message = f"is {angle:.3g}° from right; give directions at a right angle"
-            found.append(((*key, "up"), message))
-    return found
+            complaints.append(((*key, "up"), message))
+    return complaints
 
 
-def _unit(vector: np.ndarray) -> list[float]:
+def _nearest_axis(vector: np.ndarray) -> list[float]:
     """The axis that a vector is nearest to."""
     nearest = np.zeros(len(vector))
     largest = int(np.argmax(np.abs(vector)))
@@ -268,33 +268,33 @@ def _unit(vector: np.ndarray) -> list[float]:
     return [float(v) for v in nearest]
 
 
-def _of_sensors(mapping: Mapping) -> Iterator[Complaint]:
-    """Entries of trials that are of no use, or contradict themselves; a wrench without columns."""
+def _sensor_complaints(mapping: Mapping) -> Iterator[Complaint]:
+    """Complaints about unused or contradictory entries of trials; a wrench without columns."""
     for i, trial in enumerate(mapping.trials):
         for name in ("hand_starts_at_m", "hand_ends_at_m"):
             if getattr(trial, name) is not None and mapping.hand.acceleration is None:
                 message = "is only for a gripper that is told by its acceleration; remove it"
                 yield ("trials", i, name), message
-        if (drifts := drift_complaint(trial.hand_drift)) is not None:
-            yield ("trials", i, "hand_drift", "to_s"), drifts
+        if (drift_message := drift_complaint(trial.hand_drift)) is not None:
+            yield ("trials", i, "hand_drift", "to_s"), drift_message
     if mapping.wrench is not None and not any(mapping.wrench.columns):
         yield ("wrench", "columns"), "are all null; name one, or leave wrench out"
 
 
-def _twice(mapping: Mapping) -> Iterator[Complaint]:
-    """Names and columns that are given to two markers or trials."""
-    for what, names in (
+def _duplicates(mapping: Mapping) -> Iterator[Complaint]:
+    """Complaints about names and columns that two markers or trials share."""
+    for section, names in (
         ("markers", [m.name for m in mapping.markers]),
         ("trials", [t.name for t in mapping.trials]),
     ):
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{name!r} is given twice, first as entry {names.index(name) + 1}; rename"
-                yield (what, i, "name"), f"{message} one"
-    seen: dict[str, int] = {}
+                yield (section, i, "name"), f"{message} one"
+    owners: dict[str, int] = {}
     for i, marker in enumerate(mapping.markers):
         for column in marker.columns:
-            if column is not None and seen.setdefault(column, i) != i:
-                first = mapping.markers[seen[column]].name
+            if column is not None and owners.setdefault(column, i) != i:
+                first = mapping.markers[owners[column]].name
                 message = f"{column!r} is also of marker {first!r}; give each its own columns"
                 yield ("markers", i, "columns"), message

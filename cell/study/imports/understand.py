@@ -55,11 +55,11 @@ from cell.study.imports.stated import Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
 from cell.study.imports.trials import Files, trial_entries
 
-#: The second coordinate is the vertical from this component of its direction on.
+#: Minimum downward component of a second coordinate that runs down, as in an image.
 _DOWN = 0.5
-#: A marker is at the gripping point if it is nearer to it than this share of the cable's length.
+#: Maximum distance of a marker at the gripping point, as a fraction of the cable's length.
 _AT_GRIPPER = 0.005
-#: Where the curve through the markers begins is known to so much of the cable's length.
+#: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
 
 
@@ -78,12 +78,12 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     trials = named_alike(by_rows(trials, findings), findings)
     first = trials[0]
     inside = contents(first.capture)
-    apart = None if first.gripper is None else gripper_file(first.gripper)
-    if apart is not None:
-        both = (inside, first.capture), (apart.inside, apart.capture)
+    gripper = None if first.gripper is None else gripper_file(first.gripper)
+    if gripper is not None:
+        both = (inside, first.capture), (gripper.inside, gripper.capture)
         inside = on_one_clock(*both[0], *both[1])
-        apart = replace(apart, inside=on_one_clock(*both[1], *both[0]))
-    elsewhere = apart is not None or inside.has_gripper_sensor
+        gripper = replace(gripper, inside=on_one_clock(*both[1], *both[0]))
+    elsewhere = gripper is not None or inside.has_gripper_sensor
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
     if first.joined_files:
@@ -93,37 +93,37 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
-    time, told = time_section(first.capture, inside, stated.rate_hz)
-    findings.insert(0, told)
+    time, finding = time_section(first.capture, inside, stated.rate_hz)
+    findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
     points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
     raw = detected_points(first.capture, points, chosen)
     shape, units = shape_at_rest(raw), {p.unit for p in points}
-    begins = None
-    if apart is not None and len(raw[rest_rows(raw)]):
-        begins = first_point(apart, shape, units, stated.free_length_m)
-    shape = shape if begins is None else np.vstack([begins, shape])
+    rest = None
+    if gripper is not None and len(raw[rest_rows(raw)]):
+        rest = first_point(gripper, shape, units, stated.free_length_m)
+    shape = shape if rest is None else np.vstack([rest, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
-    scale, told = metres_per_unit(units, extent, stated.free_length_m)
+    scale, finding = metres_per_unit(units, extent, stated.free_length_m)
     others = [s for s in shapes_of(trials[1:], points, chosen) if np.isfinite(s).all()]
     axes, of_axes = find_axes(raw, shape, others)
-    findings += [_of_image(told, axes, raw), *of_axes]
-    scene = scene_of(raw, axes, scale or 1.0, begins, chosen.gripper is not None)
+    findings += [_of_image(finding, axes, raw), *of_axes]
+    scene = scene_of(raw, axes, scale or 1.0, rest, chosen.gripper is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
-    chain_m = chain_from(raw, begins if scene.from_gripper else None) * (scale or 1.0)
+    chain_m = chain_from(raw, rest if scene.from_gripper else None) * (scale or 1.0)
     stds = _arc_stds(chain_m, scene, stated, arcs, findings)
     nearest = None
-    if apart is not None and apart.point is not None and scale is not None:
-        nearest = _nearest(trials, apart.point, chosen, axes, scale)
+    if gripper is not None and gripper.point is not None and scale is not None:
+        nearest = _nearest(trials, gripper.point, chosen, axes, scale)
     roots = roots_of_others(trials, chosen, axes, arcs)
-    if apart is not None:
+    if gripper is not None:
         root = replace(root_at_rest(scene, arcs), others=roots)
         lasts_s = _duration_s(first.capture, time)
-        hand = section_of_file(apart, axes, root, scale, nearest, lasts_s, findings)
+        hand = section_of_file(gripper, axes, root, scale, nearest, lasts_s, findings)
     else:
         hand = _gripper(first.capture, chosen, axes, scene, arcs, roots, findings)
-    if apart is not None and begins is None:
-        hand = _with_origin(hand, apart, axes, scene, arcs, scale, findings)
+    if gripper is not None and rest is None:
+        hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -144,8 +144,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     )
     entries = trial_entries(trials, mapping, stated.rate_hz, findings)
     markers = _from_gripper(mapping.markers)
-    _tell_missing(mapping, findings)
-    _tell_unused(inside, chosen, hand, first.capture, findings)
+    _add_missing(mapping, findings)
+    _add_unused(inside, chosen, hand, first.capture, findings)
     return Understanding(
         mapping.model_copy(update={"trials": entries, "markers": markers}), tuple(findings)
     )
@@ -175,18 +175,18 @@ def _of_image(finding: Finding, axes: AxesSection, raw: FloatArray) -> Finding:
     if finding.sure not in (Sure.SEEN, Sure.GUESSED) or not axes.up[1] < -_DOWN:
         return finding
     if np.nanmin(raw) >= 0.0 and np.nanmax(raw) <= 1.0:
-        what = "shares of an image's size, multiply x by its width and y by its height in pixels"
+        unit = "shares of an image's size, multiply x by its width and y by its height in pixels"
     elif finding.sure is Sure.SEEN:
-        what = "pixels, give metres_per_unit"
+        unit = "pixels, give metres_per_unit"
     else:
         return finding
-    return replace(finding, sentence=f"{finding.sentence}; if these are {what}", sure=Sure.GUESSED)
+    return replace(finding, sentence=f"{finding.sentence}; if these are {unit}", sure=Sure.GUESSED)
 
 
 def _arcs(
     scene: PlaneChain, chosen: Chosen, stated: Stated, known: bool, findings: ImportFindings
 ) -> list[float | None]:
-    """Where the markers are along the cable, to 10 µm; None where nothing tells it."""
+    """Arc lengths of the markers, rounded to 10 µm; None where they are unknown."""
     lengths, length_m = scene.arcs, stated.free_length_m
     how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
     if not known or (not scene.from_gripper and length_m is None):
@@ -195,10 +195,10 @@ def _arcs(
         return [None] * len(chosen.markers)
     if not scene.from_gripper and length_m is not None:
         lengths = lengths + length_m - lengths[-1]
-        why = "no place of the gripper at rest is known in their frame"
+        reason = "no place of the gripper at rest is known in their frame"
         if len(scene.shape) > scene.xy_m.shape[1]:
-            why = "one marker shows no curve from the gripper on"
-        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {why}"
+            reason = "one marker shows no curve from the gripper on"
+        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {reason}"
     if not np.isfinite(lengths).all():
         sentence = "where the markers are along the cable is not known, for no row shows "
         findings.wanted("markers", f"{sentence}two neighbours of each; measure arc_length_m")
@@ -224,7 +224,7 @@ def _arcs(
 
 
 def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
-    """Markers of which one at the gripping point is at arc length 0, where the curve begins."""
+    """Markers; a first arc length that is slightly negative becomes 0."""
     first, last = markers[0].arc_length_m, markers[-1].arc_length_m
     if first is None or last is None or not -_AT_GRIPPER * last <= first < 0.0:
         return markers
@@ -238,7 +238,7 @@ def _arc_stds(
     arcs: Sequence[float | None],
     findings: ImportFindings,
 ) -> list[float | None]:
-    """How well the proposed arc lengths are known; None where none is proposed, or nothing tells.
+    """Standard deviations of the proposed arc lengths, m; None where these are unknown.
 
     places_m  (rows, points, d) of the chain, from the gripper on where that is known
     """
@@ -247,11 +247,11 @@ def _arc_stds(
         return [None] * len(arcs)
     length_m = stated.free_length_m or last_m
     stds = arc_length_stds(places_m, length_m, scene.from_gripper)
-    beyond_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
-    if beyond_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
-        std_m = float(f"{np.hypot(stds[-1], beyond_m):.2g}")
+    excess_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
+    if excess_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
+        std_m = float(f"{np.hypot(stds[-1], excess_m):.2g}")
         stds[-1] = min(std_m, MAX_ARC_STD_FRACTION * length_m)
-        sentence = f"the curve is {beyond_m * 1e3:.2g} mm longer than the cable: its last marker "
+        sentence = f"the curve is {excess_m * 1e3:.2g} mm longer than the cable: its last marker "
         findings.guessed("markers", f"{sentence}is taken as the tip")
     low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
     findings.guessed(
@@ -305,14 +305,14 @@ def _gripper(
 def _nearest(
     trials: Sequence[Files], point: Point, chosen: Chosen, axes: AxesSection, scale: float
 ) -> NearestMarker | None:
-    """Motion of the marker next to the gripper where that moves most; None = no trial tells it.
+    """Motion of the marker next to the gripper where that moves most; None = no trial has both.
 
     point  the gripping point, in files of their own
     """
     marker, best, moves = chosen.markers[0], None, []
     for files in trials:
-        there = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
-        if not there or not set(marker.columns) <= set(files.capture.names):
+        usable = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
+        if not usable or not set(marker.columns) <= set(files.capture.names):
             continue
         assert files.gripper is not None
         hand = detected_places(files.gripper, point.columns, ())
@@ -325,24 +325,24 @@ def _nearest(
 
 def _with_origin(
     hand: GripperSection,
-    apart: GripperFile,
+    gripper: GripperFile,
     axes: AxesSection,
     scene: PlaneChain,
     arcs: Sequence[float | None],
     scale: float | None,
     findings: ImportFindings,
 ) -> GripperSection:
-    """The section with the origin of the gripper's places, where that is not the markers'.
+    """The section with the origin of the gripper's positions, if it differs from the markers'.
 
-    At rest the curve through the markers goes on to the gripping point.
+    At rest the curve through the markers is extrapolated to the gripping point.
     """
     curve = curve_from_gripper(scene, arcs)
-    if hand.columns is None or apart.initial is None or scale is None or curve is None:
+    if hand.columns is None or gripper.initial is None or scale is None or curve is None:
         return hand
-    begins_m, length_m = curve(0.0), float(curve.x[-1])
-    own, unit = hand.axes or axes, hand.metres_per_unit or scale
-    hand_m = np.array([own.right, own.up]) @ apart.initial * unit
-    origin_m = begins_m - hand_m
+    start_m, length_m = curve(0.0), float(curve.x[-1])
+    own_axes, unit = hand.axes or axes, hand.metres_per_unit or scale
+    hand_m = np.array([own_axes.right, own_axes.up]) @ gripper.initial * unit
+    origin_m = start_m - hand_m
     if float(np.hypot(*origin_m)) < _SAME_FRAME * length_m:
         return hand
     x_m, y_m = (round(float(v), 5) for v in origin_m)
@@ -354,8 +354,8 @@ def _with_origin(
     return hand.model_copy(update={"origin_m": (x_m, y_m)})
 
 
-def _tell_missing(mapping: Mapping, findings: ImportFindings) -> None:
-    """Add what a file of places cannot tell of a cable."""
+def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
+    """Add findings on the cable's parameters that no file of positions shows."""
     cable = mapping.cable
     if cable.line_density_kg_per_m is None:
         sentence = (
@@ -371,21 +371,21 @@ def _tell_missing(mapping: Mapping, findings: ImportFindings) -> None:
         findings.wanted("cable", sentence)
 
 
-def _tell_unused(
+def _add_unused(
     inside: Contents,
     chosen: Chosen,
     hand: GripperSection,
     capture: Capture,
     findings: ImportFindings,
 ) -> None:
-    """Add columns that nothing is made of."""
+    """Add a finding on columns that are not used."""
     points = [p for p in (*chosen.markers, chosen.gripper, chosen.second) if p is not None]
     used = {n for p in points for n in p.columns}
-    rest = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
-    rest += [n for n, _ in inside.angles if n != hand.angle.column]
-    if not rest:
+    unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
+    unused += [n for n, _ in inside.angles if n != hand.angle.column]
+    if not unused:
         return
-    sentence = f"not used of {capture.path.name}: columns {first_of(rest, 8)}"
-    if any(is_of_wrench(name) for name in rest):
+    sentence = f"not used of {capture.path.name}: columns {first_of(unused, 8)}"
+    if any(is_of_wrench(name) for name in unused):
         sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
     findings.seen("unused", sentence)

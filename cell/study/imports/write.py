@@ -39,14 +39,14 @@ from cell.study.table import table_text
 from cell.study.wrench import COLUMNS
 
 _WIDTH = 98
-#: What is left out where it is not given; of the cable all is shown, to be filled in.
+#: Label of each degree of certainty, before the sentence of a finding.
 _MARK = {Sure.SAID: "stated", Sure.SEEN: "seen", Sure.GUESSED: "GUESS", Sure.WANTED: "GIVE"}
 
 
 def mapping_text(mapping: Mapping, findings: Sequence[Finding], command: str) -> str:
     """The mapping file.
 
-    command  that makes the study of it
+    command  command line that makes the study from it
     """
     lines = [
         "# What `cell import` understood.  Check what says GUESS, fill in what says GIVE.",
@@ -65,7 +65,7 @@ def mapping_text(mapping: Mapping, findings: Sequence[Finding], command: str) ->
 
 
 def _plain(mapping: Mapping) -> dict[str, Any]:
-    """Entries that are given, and those that must be filled in."""
+    """Entries with values other than defaults, and those that must be filled in."""
     data = mapping.model_dump(mode="json", exclude_defaults=True)
     cable = mapping.cable.model_dump(mode="json")
     if mapping.cable.connector is None:
@@ -95,17 +95,17 @@ class NotReadBackError(RuntimeError):
 def write_imported(study: Study, folder: Path) -> Study:
     """Write a study and return it as it reads back, which is the same to the last bit.
 
-    It is written elsewhere first: what cannot be read back leaves nothing in `folder`.
+    It is first written to a temporary folder: a failure leaves nothing in `folder`.
 
     raises  InputError: no command could read it, with places in the files it would have; OSError
     """
-    with TemporaryDirectory(prefix="cell-import-") as somewhere:
-        there = Path(somewhere) / folder.name
-        write_study(study, there)
+    with TemporaryDirectory(prefix="cell-import-") as temporary:
+        stage = Path(temporary) / folder.name
+        write_study(study, stage)
         try:
-            back = read_study(there)
+            back = read_study(stage)
         except InputError as error:
-            problems = [replace(p, path=folder / p.path.relative_to(there)) for p in error.problems]
+            problems = [replace(p, path=folder / p.path.relative_to(stage)) for p in error.problems]
             raise InputError(problems) from error
         _check_same(study, back)
     write_study(study, folder)
@@ -113,7 +113,7 @@ def write_imported(study: Study, folder: Path) -> Study:
 
 
 def _check_same(study: Study, back: Study) -> None:
-    if _stated(study) != _stated(back):
+    if _settings(study) != _settings(back):
         raise NotReadBackError(f"{study.name} does not read back as it was written")
     pairs: list[tuple[FloatArray, FloatArray]] = [(study.arc_length_m, back.arc_length_m)]
     for written, read in zip(study.trials, back.trials, strict=True):
@@ -122,20 +122,20 @@ def _check_same(study: Study, back: Study) -> None:
             *((getattr(thin.grip, k), getattr(read.grip, k)) for k in _POSE),
             (thin.markers.t_s, read.markers.t_s),
             (thin.markers.xy_m, read.markers.xy_m),
-            *zip(_of_wrench(thin), _of_wrench(read), strict=True),
+            *zip(_wrench_series(thin), _wrench_series(read), strict=True),
         ]
     if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
         raise NotReadBackError(f"{study.name} does not read back as it was written")
 
 
-def _of_wrench(trial: Trial) -> tuple[FloatArray, FloatArray]:
+def _wrench_series(trial: Trial) -> tuple[FloatArray, FloatArray]:
     """Times and values of a trial's wrench; none = no rows."""
     wrench = trial.wrench
     return (np.empty(0), np.empty((0, 3))) if wrench is None else (wrench.t_s, wrench.values)
 
 
-def _stated(study: Study) -> tuple[object, ...]:
-    """What a study says beside its arrays of measurements."""
+def _settings(study: Study) -> tuple[object, ...]:
+    """Contents of a study without its arrays of measurements."""
     std_m = study.arc_length_std_m
     return (
         study.name,
@@ -151,15 +151,15 @@ def _stated(study: Study) -> tuple[object, ...]:
 def write_wide(study: Study, folder: Path) -> list[Path]:
     """Write every trial as one wide table, and a mapping that imports them to the same study.
 
-    A row for every time of hand, markers or wrench; empty where nothing was measured at it.  Where
-    frames show no marker, a column tells which rows are frames.
+    A row for every time of gripper, markers or wrench; cells without measurement are empty.  If
+    some frames show no marker, a column marks the rows of frames.
 
     raises  OSError: it cannot be written; nothing has changed
     """
     names = ["tip", *(f"m{i}" for i in range(1, len(study.arc_length_m)))]
     mapping = _mapping_of(study, names)
-    seen = [np.isfinite(t.markers.xy_m).any(axis=(1, 2)) for t in study.trials]
-    if not all(rows.all() for rows in seen):
+    visible = [np.isfinite(t.markers.xy_m).any(axis=(1, 2)) for t in study.trials]
+    if not all(rows.all() for rows in visible):
         mapping = mapping.model_copy(update={"frames": _FRAME})
     columns = _columns(names, mapping)
     files: dict[Path, str | bytes] = {
@@ -172,18 +172,18 @@ def write_wide(study: Study, folder: Path) -> list[Path]:
 
 
 def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
-    """Names of a table's columns, and which of `_rows`' each is."""
+    """Names of a table's columns, each with its index among the columns of `_rows`."""
     places = [f"{name}_{axis}_m" for name in names for axis in "xy"]
-    every = ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places, *COLUMNS, _FRAME]
+    all_names = ["time_s", "hand_x_m", "hand_y_m", "hand_angle_rad", *places, *COLUMNS, _FRAME]
     of_wrench = [] if mapping.wrench is None else mapping.wrench.columns
-    kept = {*every[: -1 - len(COLUMNS)], *of_wrench, mapping.frames}
-    return {name: number for number, name in enumerate(every) if name in kept}
+    used = {*all_names[: -1 - len(COLUMNS)], *of_wrench, mapping.frames}
+    return {name: number for number, name in enumerate(all_names) if name in used}
 
 
 def _rows(trial: Trial, columns: dict[str, int]) -> FloatArray:
-    """(times, columns) of those of hand, markers, wrench, and whether a row is a frame."""
+    """(times, columns) values of gripper, markers, wrench, and whether a row is a frame."""
     grip, markers = trial.grip, trial.markers
-    wrench_s, wrench = _of_wrench(trial)
+    wrench_s, wrench = _wrench_series(trial)
     parts = (
         (grip.t_s, np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])),
         (markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)),
@@ -200,7 +200,7 @@ def _rows(trial: Trial, columns: dict[str, int]) -> FloatArray:
 
 
 def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
-    """The mapping of what `write_wide` writes."""
+    """The mapping for the tables of `write_wide`."""
     std_m = study.arc_length_std_m
     stds = [None] * len(names) if std_m is None else [float(s) for s in std_m]
     return Mapping(
