@@ -1,4 +1,4 @@
-"""The study's plane, found by the motion; columns of a file as places, m, and angles in it."""
+"""Estimates the study's plane from the motion; converts columns to positions, m, and angles."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.gripper_section import AngleSection, AxesSection
 from cell.study.imports.shape import bend, lost_rows
 
-#: An axis of the file is in the plane if this share of it is.
+#: A file axis is in the plane if its projection onto the plane is longer than this.
 _IN_PLANE = 0.9
-#: A bend of the cable decides what is up if it is this large (1 = by a radian), and speaks so many
-#: times more for one axis than for the usual one.
-_BEND, _TIMES = 0.1, 1.5
-#: A cable that is straight at rest hangs if it is along the vertical by this cosine.
-_HANGS = 0.9
-#: A plane nearer to the file's axes than this is along them, rad: half a degree moves a place
-#: within the plane by 4 parts in 100,000.
-_ALONG = 0.0087
+#: Minimum bend of the cable that determines up (1 = about a radian), and minimum ratio to the bend
+#: along the default axis for choosing another one.
+_MIN_BEND, _RATIO = 0.1, 1.5
+#: Minimum cosine to the vertical of a cable that hangs straight at rest.
+_HANGING = 0.9
+#: Maximum angle to the file's axes of an aligned plane, rad: half a degree changes positions in the
+#: plane by 4 parts in 100,000.
+_ALIGNED = 0.0087
 _LETTERS = "XYZ"
 
 
@@ -40,57 +40,57 @@ def find_axes(
 
     places  (rows, points, 2 or 3) in order along the cable, the gripper first
     shape   (points, d) of the cable at rest, or its mean
-    others  the same of the other trials
+    others  shapes of the other trials
     """
     dimensions = places.shape[2]
-    normal, flat = _normal(places)
+    normal, depth = _normal(places)
     up = _up(shape, others, normal)
-    right, along = _right(places, shape, normal, up.direction)
+    right, remark = _right(places, shape, normal, up.direction)
     findings = ImportFindings()
     if normal is not None:
-        findings.seen("axes", f"the motion is in one plane, {flat:.2g} of its size out of it")
+        findings.seen("axes", f"the motion is in one plane, {depth:.2g} of its size out of it")
     findings.append(Finding("axes.up", f"up is {_words(up.direction)}: {up.why}", up.sure))
-    sentence = f"right is {_words(right)}: so the cable leaves the gripper to the left{along}"
+    sentence = f"right is {_words(right)}: so the cable leaves the gripper to the left{remark}"
     findings.seen("axes.right", sentence)
     section = AxesSection(right=_plain(right, dimensions), up=_plain(up.direction, dimensions))
     return section, findings
 
 
 def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
-    """Across the plane in which all points are, and what is out of it, as a share; None in 2D."""
+    """Unit normal of the points' plane, and their relative extent along it; None and 0 in 2D."""
     if places.shape[2] == 2:
         return None, 0.0
-    seen = places[np.isfinite(places).all(axis=2)]
-    centred = seen - np.median(seen, axis=0)
+    visible = places[np.isfinite(places).all(axis=2)]
+    centred = visible - np.median(visible, axis=0)
     _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
     return directions[2], float(sizes[2] / sizes[0])
 
 
 def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | None) -> _Up:
-    """Which axis of the file is up: the one against which the cable bends from its clamp on."""
+    """Direction of up: the file axis against which the cable bends from its clamp on."""
     dimensions = shape.shape[1]
     axes = [k for k in range(dimensions) if normal is None or _in_plane(normal, k)]
-    if not axes and normal is not None:  # a plane that is askew to all of them
+    if not axes and normal is not None:  # the plane is oblique to all axes
         axes = [int(np.argmin(np.abs(normal)))]
-    usual = 1 if dimensions == 2 or 2 not in axes else 2
-    if usual not in axes:
-        usual = axes[0]
-    bent = np.mean([bend(s) for s in (shape, *others)], axis=0)
-    size = {k: abs(float(bent[k])) for k in axes}
+    default = 1 if dimensions == 2 or 2 not in axes else 2
+    if default not in axes:
+        default = axes[0]
+    mean_bend = np.mean([bend(s) for s in (shape, *others)], axis=0)
+    size = {k: abs(float(mean_bend[k])) for k in axes}
     chosen = max(axes, key=lambda k: size[k])
-    if size[chosen] < _BEND:
+    if size[chosen] < _MIN_BEND:
         direction = np.zeros(dimensions)
-        direction[usual] = 1.0
-        along = shape[-1] - shape[0]
-        if abs(along[usual]) > _HANGS * float(np.linalg.norm(along)):
-            direction[usual] = -np.sign(along[usual])
+        direction[default] = 1.0
+        chord = shape[-1] - shape[0]
+        if abs(chord[default]) > _HANGING * float(np.linalg.norm(chord)):
+            direction[default] = -np.sign(chord[default])
             return _Up(direction, Sure.GUESSED, "the cable, straight at rest, hangs along it")
         return _Up(direction, Sure.GUESSED, "the usual one, for the cable is straight at rest")
-    if chosen != usual and size[chosen] < _TIMES * size[usual]:
-        chosen = usual
+    if chosen != default and size[chosen] < _RATIO * size[default]:
+        chosen = default
     direction = np.zeros(dimensions)
-    direction[chosen] = -np.sign(bent[chosen])
-    sure = Sure.SEEN if chosen == usual else Sure.GUESSED
+    direction[chosen] = -np.sign(mean_bend[chosen])
+    sure = Sure.SEEN if chosen == default else Sure.GUESSED
     return _Up(direction, sure, "at rest the cable bends the other way, as gravity does it")
 
 
@@ -101,27 +101,27 @@ def _in_plane(normal: FloatArray, axis: int) -> bool:
 def _right(
     places: FloatArray, shape: FloatArray, normal: FloatArray | None, up: FloatArray
 ) -> tuple[FloatArray, str]:
-    """The level direction in the plane, from the cable to the gripper."""
+    """Horizontal direction in the plane from cable to gripper, and a remark if it is oblique."""
     if normal is None:
         level = np.array([up[1], -up[0]])
-        told = ""
+        remark = ""
     else:
         level = np.cross(up, normal - (normal @ up) * up)
         level = level / np.linalg.norm(level)
         nearest = int(np.argmax(np.abs(level)))
-        turned = float(np.arccos(min(1.0, abs(float(level[nearest])))))
-        if turned < _ALONG:
+        angle = float(np.arccos(min(1.0, abs(float(level[nearest])))))
+        if angle < _ALIGNED:
             level = np.zeros(3)
             level[nearest] = 1.0
-        told = "" if turned < _ALONG else f", {np.degrees(turned):.3g}° from the file's axis"
-    leaves = float((shape[1:].mean(axis=0) - shape[0]) @ level)
-    if leaves == 0.0:
-        leaves = float(np.nanmean(places[:, 1:] - places[:, :1], axis=(0, 1)) @ level)
-    return (-level if leaves > 0.0 else level) + 0.0, told
+        remark = "" if angle < _ALIGNED else f", {np.degrees(angle):.3g}° from the file's axis"
+    towards_cable = float((shape[1:].mean(axis=0) - shape[0]) @ level)
+    if towards_cable == 0.0:
+        towards_cable = float(np.nanmean(places[:, 1:] - places[:, :1], axis=(0, 1)) @ level)
+    return (-level if towards_cable > 0.0 else level) + 0.0, remark
 
 
 def _words(direction: FloatArray) -> str:
-    """A direction in words where it is along an axis of the file, else as numbers."""
+    """A direction in words if it is along an axis of the file, else as numbers."""
     nearest = int(np.argmax(np.abs(direction)))
     if abs(direction[nearest]) <= 1.0 - 1e-9:
         return "[" + ", ".join(f"{v:.4g}" for v in direction) + "] of the file"
@@ -135,11 +135,11 @@ def _plain(direction: FloatArray, dimensions: int) -> list[float]:
     return [round(float(v), 7) + 0.0 for v in direction[:dimensions]]
 
 
-#: Angles of either count of a turn, ±180° or 0 to 360°, are left as they are up to so much; what is
-#: beyond lacks a whole turn.  It is far from all directions in which clamps usually point, rad.
-_HALF_TURN = 1.25 * np.pi
-#: A whole turn, with room for the digits of a unit.
-_WHOLE_TURN = 2.001 * np.pi
+#: Maximum mean angle that is not shifted by full turns, rad.  It admits ranges of ±180° and of 0 to
+#: 360°, and is far from all usual directions of clamps.
+_MAX_MEAN = 1.25 * np.pi
+#: A full turn, with a margin for rounding.
+_FULL_TURN = 2.001 * np.pi
 
 
 def places_m(
@@ -154,17 +154,17 @@ def places_m(
     """(rows, 2) x (right) and y (up) of a point, nan where it is not seen.
 
     columns  null = this coordinate was not measured; it counts as `unseen`
-    lost     values that all coordinates have where the point is not seen
-    of_hand  it is one of the gripper, which may be at such a value
+    lost     codes that all coordinates have where the point is not seen
+    of_hand  the point is the gripper's, which may really be at such a value
     raises   InputError: there is no such column
     """
     raw = np.full((len(capture.values), len(columns)), unseen)
     for k, name in enumerate(columns):
         if name is not None:
             raw[:, k] = capture.column(name)
-    given = [k for k, name in enumerate(columns) if name is not None]
-    raw[lost_rows(raw[:, given], lost, of_hand)] = np.nan
-    return np.column_stack([_along(raw, axis) for axis in _square(axes)]) * metres_per_unit
+    measured = [k for k, name in enumerate(columns) if name is not None]
+    raw[lost_rows(raw[:, measured], lost, of_hand)] = np.nan
+    return np.column_stack([_along(raw, axis) for axis in _basis(axes)]) * metres_per_unit
 
 
 def out_of_plane_m(
@@ -177,7 +177,7 @@ def out_of_plane_m(
     """(rows,) coordinate across the plane, nan where it is not seen; None where a point has two."""
     if len(columns) < 3 or None in columns:
         return None
-    right, up = _square(axes)
+    right, up = _basis(axes)
     names = [name for name in columns if name is not None]
     raw = capture.at(names)
     across: FloatArray = raw @ np.cross(right, up) * metres_per_unit
@@ -186,7 +186,7 @@ def out_of_plane_m(
 
 
 def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) -> FloatArray | None:
-    """(rows,) clamp angle; None where it is that of a line or of an arm that turns.
+    """(rows,) clamp angle; None if it follows from a line between points or from an arm.
 
     0 = level, positive = pointing down; the cable leaves along (−cos, −sin).
     raises  InputError: there is no such column
@@ -194,11 +194,11 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
     if angle.constant_rad is not None:
         return np.full(len(capture.values), angle.constant_rad + angle.offset_rad)
     if angle.column is not None and angle.radians_per_unit is not None:
-        turned: FloatArray = capture.column(angle.column) * angle.radians_per_unit
-        return continuous(turned, angle.offset_rad)
+        angles: FloatArray = capture.column(angle.column) * angle.radians_per_unit
+        return continuous(angles, angle.offset_rad)
     if angle.quaternion is not None and angle.body_axis is not None:
         leaving = body_axis(capture.at(angle.quaternion), angle.body_axis)
-        right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _square(axes))
+        right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _basis(axes))
         return continuous(_angle(leaving @ right, leaving @ up), angle.offset_rad)
     return None
 
@@ -210,33 +210,33 @@ def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0)
 
 
 def continuous(angle_rad: FloatArray, offset_rad: float = 0.0) -> FloatArray:
-    """(rows,) angles plus an offset, unwrapped, and shifted by whole turns to the principal range.
+    """(rows,) angles plus an offset, unwrapped, and shifted by full turns to the principal range.
 
-    Angles beyond ±2π are of no count of a turn, but of another unit: they stay as they are.
+    Angles beyond ±2π must be in another unit; they are not unwrapped.
     """
-    good = np.isfinite(angle_rad)
-    known = angle_rad[good]
-    found = angle_rad + offset_rad
-    if not len(known) or np.abs(known).max() > _WHOLE_TURN:
-        return found
+    finite = np.isfinite(angle_rad)
+    known = angle_rad[finite]
+    result = angle_rad + offset_rad
+    if not len(known) or np.abs(known).max() > _FULL_TURN:
+        return result
     known = np.unwrap(known) + offset_rad
     middle = 0.5 * (known.min() + known.max())
-    if abs(middle) > _HALF_TURN:
+    if abs(middle) > _MAX_MEAN:
         known = known - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
-    found[good] = known
-    return found
+    result[finite] = known
+    return result
 
 
 def body_axis(quaternion: FloatArray, name: str) -> FloatArray:
     """(rows, 3) direction of a body's axis, such as `-x`; quaternions (rows, 4) x, y, z, w."""
     length = np.linalg.norm(quaternion, axis=1)
-    good = np.isfinite(length) & (length > 0.5)
-    found = np.full((len(quaternion), 3), np.nan)
+    valid = np.isfinite(length) & (length > 0.5)
+    directions = np.full((len(quaternion), 3), np.nan)
     axis = np.zeros(3)
     axis["xyz".index(name[1])] = -1.0 if name[0] == "-" else 1.0
-    if good.any():
-        found[good] = Rotation.from_quat(quaternion[good]).apply(axis)
-    return found
+    if valid.any():
+        directions[valid] = Rotation.from_quat(quaternion[valid]).apply(axis)
+    return directions
 
 
 def angle_of(direction: FloatArray) -> float:
@@ -249,14 +249,14 @@ def _angle(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(-y, -x), dtype=np.float64)
 
 
-def _square(axes: AxesSection) -> tuple[FloatArray, FloatArray]:
-    """Both directions with length 1 and at a right angle, up kept."""
+def _basis(axes: AxesSection) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors right and up; right is made orthogonal to up."""
     up = np.array(axes.up) / np.linalg.norm(axes.up)
     right = np.array(axes.right) - (np.array(axes.right) @ up) * up
     return right / np.linalg.norm(right), up
 
 
 def _along(raw: FloatArray, axis: FloatArray) -> FloatArray:
-    """Component along an axis; a column across it may be missing."""
+    """Component along an axis; columns orthogonal to it may be missing."""
     used = np.abs(axis) > 0.0
     return np.asarray(raw[:, used] @ axis[used], dtype=np.float64)

@@ -18,10 +18,10 @@ from cell.study.imports.places import angle_of
 from cell.study.imports.shape import arc_lengths, middle, resting, root_direction
 from cell.study.imports.trials import Files
 
-#: Rows of a long trial in which the direction of the cable's root is estimated.
-_ROOTS = 1000
-#: Points of a chain that show a line and no bend, and that show how a curve goes on.
-A_LINE, _A_CURVE = 2, 3
+#: Maximum rows of a trial in which the direction of the cable's root is estimated.
+_MAX_ROWS = 1000
+#: Number of points that determine a line without a bend; minimum for extrapolating a curve.
+A_LINE, _MIN_CURVE = 2, 3
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PlaneChain:
     xy_m          (rows, points, 2), the gripping point first where it is in the same file
     arcs          (markers,) from the gripping point, m
     shape         (points, 2) at rest, the gripping point first where that is known
-    from_gripper  whether it is; else arcs are from the first marker
+    from_gripper  whether it is known; else arcs start at the first marker
     """
 
     xy_m: FloatArray
@@ -41,30 +41,30 @@ class PlaneChain:
 
 
 def scene_of(
-    raw: FloatArray, axes: AxesSection, scale: float, begins: FloatArray | None, with_hand: bool
+    raw: FloatArray, axes: AxesSection, scale: float, rest: FloatArray | None, with_hand: bool
 ) -> PlaneChain:
     """The chain in the plane.
 
-    begins     (d,) where the gripper of another file rests; None = that is not known
+    rest       (d,) rest position of the gripper of another file; None = unknown
     with_hand  the first of the points is the gripping point
     """
     directions = np.array([axes.right, axes.up])
     xy_m = raw @ directions.T * scale
     shape = shape_at_rest(xy_m)
-    if begins is not None:
-        shape = np.vstack([directions @ begins * scale, shape])
-    # Of the mean shape at rest: noise lengthens the curve through points of a single row.
+    if rest is not None:
+        shape = np.vstack([directions @ rest * scale, shape])
+    # From the mean shape at rest: noise lengthens the curve through points of a single row.
     at_rest = resting(xy_m) is not None and np.isfinite(shape).all()
-    lengths = arc_lengths(shape[None] if at_rest or begins is not None else xy_m)
-    if begins is not None and len(shape) <= A_LINE:
-        lengths = lengths[1:]  # nothing shows how far a cable droops from the line to one marker
-    from_hand = with_hand or (begins is not None and len(shape) > A_LINE)
+    lengths = arc_lengths(shape[None] if at_rest or rest is not None else xy_m)
+    if rest is not None and len(shape) <= A_LINE:
+        lengths = lengths[1:]  # the sag between the gripper and one marker is unknown
+    from_gripper = with_hand or (rest is not None and len(shape) > A_LINE)
     # Else the first marker is at an unknown distance from the gripper.
-    return PlaneChain(xy_m, lengths[1:] if from_hand else lengths, shape, from_hand)
+    return PlaneChain(xy_m, lengths[1:] if from_gripper else lengths, shape, from_gripper)
 
 
 def detected_points(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
-    """(rows, points, d) where points are seen, in the file's unit and axes."""
+    """(rows, points, d) detected positions of points, in the file's unit and axes."""
     of_hand = (chosen.gripper, chosen.second)
     return np.stack(
         [detected_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
@@ -72,16 +72,15 @@ def detected_points(capture: Capture, points: Sequence[Point], chosen: Chosen) -
     )
 
 
-def chain_from(raw: FloatArray, begins: FloatArray | None) -> FloatArray:
-    """Places (rows, points, d), behind that (d,) where the gripper of another file rests, if
-    known."""
-    if begins is None:
+def chain_from(raw: FloatArray, rest: FloatArray | None) -> FloatArray:
+    """Positions (rows, points, d), after the gripper's rest position (d,) if that is known."""
+    if rest is None:
         return raw
-    return np.concatenate([np.broadcast_to(begins, (len(raw), 1, len(begins))), raw], axis=1)
+    return np.concatenate([np.broadcast_to(rest, (len(raw), 1, len(rest))), raw], axis=1)
 
 
 def shape_at_rest(raw: FloatArray) -> FloatArray:
-    """(points, d) at rest, else a mean of what is seen."""
+    """(points, d) median shape at rest, else of all visible positions."""
     rest = resting(raw)
     return middle(raw if rest is None else rest)
 
@@ -89,16 +88,16 @@ def shape_at_rest(raw: FloatArray) -> FloatArray:
 def shapes_of(
     trials: Sequence[Files], points: Sequence[Point], chosen: Chosen
 ) -> Iterator[FloatArray]:
-    """(points, d) of trials at rest, whose files have the same columns."""
+    """(points, d) shapes at rest of the trials whose files have the same columns."""
     for files in trials:
         if {name for p in points for name in p.columns} <= set(files.capture.names):
             yield shape_at_rest(detected_points(files.capture, points, chosen))
 
 
 def root_at_rest(scene: PlaneChain, arcs: Sequence[float | None]) -> Root:
-    """The clamp angle as the markers show it at rest, where they have no rows in common with it.
+    """Clamp angle from the markers at rest, where they share no rows with the gripper.
 
-    Where the first marker is away from the gripper, the curve goes on to it.
+    If the first marker is away from the gripper, the curve is extrapolated to it.
     """
     shape = scene.shape
     angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
@@ -108,38 +107,38 @@ def root_at_rest(scene: PlaneChain, arcs: Sequence[float | None]) -> Root:
 
 
 def root_in_rows(scene: PlaneChain) -> Root:
-    """The clamp angle as the cable's root shows it, in rows all over the trial and at rest."""
+    """Clamp angle from the cable's root, in rows throughout the trial and at rest."""
     angle = np.full(len(scene.xy_m), np.nan)
-    whole = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
-    whole = whole[:: max(1, len(whole) // _ROOTS)]
-    directions = [root_direction(shape) for shape in scene.xy_m[whole]]
-    angle[whole] = np.unwrap([angle_of(d) for d in directions])
+    complete = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
+    complete = complete[:: max(1, len(complete) // _MAX_ROWS)]
+    directions = [root_direction(shape) for shape in scene.xy_m[complete]]
+    angle[complete] = np.unwrap([angle_of(d) for d in directions])
     return Root(angle, angle_of(root_direction(scene.shape)), len(scene.shape) <= A_LINE)
 
 
 def roots_of_others(
     trials: Sequence[Files], chosen: Chosen, axes: AxesSection, arcs: Sequence[float | None]
 ) -> tuple[tuple[Capture, float], ...]:
-    """Of each other trial the file with the gripper, and the clamp angle that its markers show at
-    rest; of a trial that begins in motion, or whose file has other columns, nothing."""
+    """Gripper file of each other trial, and the clamp angle from its markers at rest; trials that
+    begin in motion, or whose file has other columns, are skipped."""
     points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
-    wanted = {name for p in points for name in p.columns}
-    found = []
+    required = {name for p in points for name in p.columns}
+    roots = []
     for files in trials[1:]:
-        if not wanted <= set(files.capture.names) or len(points) < A_LINE:
+        if not required <= set(files.capture.names) or len(points) < A_LINE:
             continue
         raw = detected_points(files.capture, points, chosen)
         scene = scene_of(raw, axes, 1.0, None, chosen.gripper is not None)
         if resting(raw) is not None and np.isfinite(scene.shape).all():
             root = root_at_rest(scene, arcs)
-            found.append((files.gripper or files.capture, root.rest_rad))
-    return tuple(found)
+            roots.append((files.gripper or files.capture, root.rest_rad))
+    return tuple(roots)
 
 
 def curve_from_gripper(scene: PlaneChain, arcs: Sequence[float | None]) -> CubicSpline | None:
-    """(2,) place against arc length, where the first marker is not at the gripper; None if it is,
-    or too few markers show how the curve goes on."""
+    """(2,) position against arc length, extrapolated to the gripper; None if the first marker is at
+    the gripper, or there are too few markers."""
     known = [a for a in arcs if a is not None]
-    if scene.from_gripper or len(known) < _A_CURVE or len(known) != len(scene.shape):
+    if scene.from_gripper or len(known) < _MIN_CURVE or len(known) != len(scene.shape):
         return None
     return CubicSpline(known, scene.shape)

@@ -15,56 +15,56 @@ from cell.study.series import first_lasting, noise_m, span_m
 
 Ends = Literal["not-a-knot", "natural"]
 
-#: A chain has begun to move when a point is this share of the chain's length from where it was …
+#: A chain moves once a point is displaced by this fraction of the chain's length …
 AWAY = 0.02
-#: … and this many times its noise, for so many rows.
+#: … and by this multiple of its noise, for so many rows.
 OF_NOISE, STAYS = 8.0, 3
-#: Rows before which nothing may be said of a rest.
+#: Minimum number of rows at rest.
 FEWEST_REST = 5
-#: A row is still at rest whose farthest point is so many times as far from where it rests as usual.
-_QUIET = 2.0
-#: Of the usual distance between neighbours; nearer ones are at one place.
-_COINCIDES = 0.05
-#: Shapes of which lengths are the median, and samples of each piece between two points.
-_SHAPES, _SAMPLES = 200, 16
+#: Maximum displacement of the farthest point at rest, as a multiple of its median.
+_MAX_REST = 2.0
+#: Fraction of the median distance between neighbours below which points coincide.
+_COINCIDENT = 0.05
+#: Maximum number of shapes for a median length; samples of each piece between two points.
+_MAX_SHAPES, _SAMPLES = 200, 16
 
 
 def rest_rows(places: FloatArray) -> slice:
-    """Rows from the first on in which no point moves; empty if it moves from the beginning on.
+    """First rows, in which no point moves; empty if one moves from the beginning.
 
     places  (rows, points, 2 or 3), nan = not seen; rows that show no point do not count
     """
-    shown = _shown(places)
-    begin = _begin(places[shown])
-    return _up_to(shown, begin if begin >= FEWEST_REST else 0, len(places))
+    visible = _visible_rows(places)
+    start = _motion_start(places[visible])
+    return _rows_before(visible, start if start >= FEWEST_REST else 0, len(places))
 
 
 def still_rows(places: FloatArray) -> slice:
-    """The rows at rest, without the last ones, in which a slow motion may have begun.
+    """Rows at rest, without the last ones, in which a slow motion may have begun.
 
-    A motion begins slowly: as many rows again are left out as show it beyond their noise.
+    As many rows are excluded before the last quiet row as lie between it and the detected motion.
     """
-    shown = _shown(places)
-    seen = places[shown]
-    begin = _begin(seen)
-    if begin < FEWEST_REST or begin == len(seen):
-        return _up_to(shown, begin if begin >= FEWEST_REST else 0, len(places))
-    away = np.linalg.norm(seen[:begin] - middle(seen[:begin]), axis=2)
-    farthest = np.nan_to_num(away).max(axis=1)
-    quiet = np.flatnonzero(farthest <= _QUIET * np.median(farthest))
-    begins = int(quiet[-1]) + 1
-    return _up_to(shown, max(2 * begins - begin, FEWEST_REST), len(places))
+    visible = _visible_rows(places)
+    positions = places[visible]
+    start = _motion_start(positions)
+    if start < FEWEST_REST or start == len(positions):
+        return _rows_before(visible, start if start >= FEWEST_REST else 0, len(places))
+    distance = np.linalg.norm(positions[:start] - middle(positions[:start]), axis=2)
+    farthest = np.nan_to_num(distance).max(axis=1)
+    quiet_rows = np.flatnonzero(farthest <= _MAX_REST * np.median(farthest))
+    quiet_end = int(quiet_rows[-1]) + 1
+    return _rows_before(visible, max(2 * quiet_end - start, FEWEST_REST), len(places))
 
 
-def _shown(places: FloatArray) -> NDArray[np.intp]:
+def _visible_rows(places: FloatArray) -> NDArray[np.intp]:
     """Rows that show a point; all, if none does."""
-    shown = np.flatnonzero(np.isfinite(places).any(axis=(1, 2)))
-    return shown if len(shown) else np.arange(len(places))
+    visible = np.flatnonzero(np.isfinite(places).any(axis=(1, 2)))
+    return visible if len(visible) else np.arange(len(places))
 
 
-def _up_to(shown: NDArray[np.intp], count: int, rows: int) -> slice:
-    """The rows before that of the shown ones with number `count`."""
-    return slice(0, rows if count >= len(shown) else int(shown[count]) if count else 0)
+def _rows_before(visible: NDArray[np.intp], count: int, rows: int) -> slice:
+    """Rows before the visible row with index `count`."""
+    return slice(0, rows if count >= len(visible) else int(visible[count]) if count else 0)
 
 
 def resting(places: FloatArray) -> FloatArray | None:
@@ -76,26 +76,26 @@ def resting(places: FloatArray) -> FloatArray | None:
 
 
 def middle(places: FloatArray) -> FloatArray:
-    """(…) medians over rows (rows, …) of what is seen; nan where nothing is."""
-    seen = np.isfinite(places).any(axis=0)
-    found = np.full(places.shape[1:], np.nan)
-    found[seen] = np.nanmedian(places[:, seen], axis=0)
-    return found
+    """(…) medians over rows (rows, …) of visible values; nan where there are none."""
+    visible = np.isfinite(places).any(axis=0)
+    medians = np.full(places.shape[1:], np.nan)
+    medians[visible] = np.nanmedian(places[:, visible], axis=0)
+    return medians
 
 
-def _begin(places: FloatArray) -> int:
-    """First row from which a point stays away from where it was; all rows if none does."""
+def _motion_start(places: FloatArray) -> int:
+    """First row from which a point stays away from its initial position; `len(places)` if none."""
     first = middle(places[:FEWEST_REST])
-    away = np.linalg.norm(places - first, axis=2)
-    seen = first[np.isfinite(first).all(axis=1)]
-    if not len(seen):
+    distance = np.linalg.norm(places - first, axis=2)
+    visible = first[np.isfinite(first).all(axis=1)]
+    if not len(visible):
         return 0
-    extent = np.ptp(seen, axis=0).max()
+    extent = np.ptp(visible, axis=0).max()
     noise = float(np.nan_to_num(noise_m(places[: 4 * FEWEST_REST])))
     limit = max(AWAY * float(extent), OF_NOISE * noise)
-    far = np.nan_to_num(away).max(axis=1) > limit
-    begin = first_lasting(far, STAYS)
-    return len(places) if begin is None else begin
+    displaced = np.nan_to_num(distance).max(axis=1) > limit
+    start = first_lasting(displaced, STAYS)
+    return len(places) if start is None else start
 
 
 def reach_of(places: FloatArray, cut: float = 0.0) -> float:
@@ -108,83 +108,83 @@ def reach_of(places: FloatArray, cut: float = 0.0) -> float:
 
 def chain(places: FloatArray, start: int) -> list[int]:
     """Points (points, d) in the order in which a cable passes through them, from one end."""
-    left = set(range(len(places))) - {start}
+    remaining = set(range(len(places))) - {start}
     order = [start]
-    while left:
-        here = places[order[-1]]
-        nearest = min(left, key=lambda p: float(np.linalg.norm(places[p] - here)))
+    while remaining:
+        current = places[order[-1]]
+        nearest = min(remaining, key=lambda p: float(np.linalg.norm(places[p] - current)))
         order.append(nearest)
-        left.remove(nearest)
+        remaining.remove(nearest)
     return order
 
 
 def arc_lengths(places: FloatArray, ends: Ends = "not-a-knot") -> FloatArray:
-    """(points,) along the curve from the first point on: medians over rows that show all.
+    """(points,) arc lengths along the curve from the first point: medians over complete rows.
 
     places  (rows, points, d) in their order along the cable
-    ends    how the curve is bent there, as of `scipy.interpolate.CubicSpline`
+    ends    end condition of the curve, as of `scipy.interpolate.CubicSpline`
     """
-    whole = places[np.isfinite(places).all(axis=(1, 2))]
-    if not len(whole):
+    complete = places[np.isfinite(places).all(axis=(1, 2))]
+    if not len(complete):
         steps = middle(np.linalg.norm(np.diff(places, axis=1), axis=2))
         return np.concatenate([[0.0], np.cumsum(steps)])
-    some = whole[np.unique(np.linspace(0, len(whole) - 1, _SHAPES).astype(int))]
-    return np.asarray(np.median([_lengths(shape, ends) for shape in some], axis=0))
+    sample = complete[np.unique(np.linspace(0, len(complete) - 1, _MAX_SHAPES).astype(int))]
+    return np.asarray(np.median([_lengths(shape, ends) for shape in sample], axis=0))
 
 
 def _lengths(shape: FloatArray, ends: Ends) -> FloatArray:
-    """Arc lengths of points (points, d) of a cubic through them."""
-    every = _chords(shape)
-    kept = _apart(every)
-    at = every[kept]
+    """Arc lengths of points (points, d) along a cubic spline through them."""
+    chords = _chords(shape)
+    distinct = _distinct(chords)
+    knots = chords[distinct]
     fine = np.concatenate(
-        [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(at)] + [at[-1:]]
+        [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(knots)] + [knots[-1:]]
     )
-    curve = CubicSpline(at, shape[kept], bc_type=ends)
+    curve = CubicSpline(knots, shape[distinct], bc_type=ends)
     steps = np.linalg.norm(np.diff(curve(fine), axis=0), axis=1)
     lengths = np.concatenate([[0.0], np.cumsum(steps)])[::_SAMPLES]
-    return np.asarray(np.interp(every, at, lengths))
+    return np.asarray(np.interp(chords, knots, lengths))
 
 
-def _apart(at: FloatArray) -> list[int]:
-    """Points that do not coincide with the one before, by their distances along straight pieces.
+def _distinct(arcs: FloatArray) -> list[int]:
+    """Indices of points that do not coincide with the one before, by cumulative chord lengths.
 
-    Between a marker at the gripping point and the gripper noise alone makes a curve.
+    Between coincident points, such as gripper and first marker, a curve would follow noise.
     """
-    least = _COINCIDES * float(np.median(np.diff(at))) if len(at) > 1 else 0.0
-    kept = [0]
-    for i in range(1, len(at)):
-        if at[i] - at[kept[-1]] > least:
-            kept.append(i)
-    return kept if kept[-1] == len(at) - 1 else [*(kept[:-1] or kept), len(at) - 1]
+    minimum = _COINCIDENT * float(np.median(np.diff(arcs))) if len(arcs) > 1 else 0.0
+    indices = [0]
+    for i in range(1, len(arcs)):
+        if arcs[i] - arcs[indices[-1]] > minimum:
+            indices.append(i)
+    return indices if indices[-1] == len(arcs) - 1 else [*(indices[:-1] or indices), len(arcs) - 1]
 
 
 def root_direction(shape: FloatArray) -> FloatArray:
     """(d,) unit vector in which a cable (points, d) leaves its first point."""
     shape = distinct_points(shape)
-    at = _chords(shape)
-    tangent: FloatArray = CubicSpline(at, shape)(0.0, 1)
+    lengths = _chords(shape)
+    tangent: FloatArray = CubicSpline(lengths, shape)(0.0, 1)
     return np.asarray(tangent / np.linalg.norm(tangent))
 
 
 def distinct_points(shape: FloatArray) -> FloatArray:
     """(points, d) shape without points that coincide with the one before them.
 
-    Between such points, a marker at the gripping point and the gripper for instance, noise alone
-    makes a direction.  The last point is kept.
+    Between such points, for instance a marker at the gripping point and the gripper, the
+    direction is noise.  The last point is always included.
     """
-    at = _chords(shape)
-    kept = [0]
+    lengths = _chords(shape)
+    indices = [0]
     for i in range(1, len(shape)):
-        if at[i] - at[kept[-1]] > AWAY * at[-1]:
-            kept.append(i)
-    if kept[-1] != len(shape) - 1:
-        kept = [*(kept[:-1] if len(kept) > 1 else kept), len(shape) - 1]
-    return shape[kept]
+        if lengths[i] - lengths[indices[-1]] > AWAY * lengths[-1]:
+            indices.append(i)
+    if indices[-1] != len(shape) - 1:
+        indices = [*(indices[:-1] if len(indices) > 1 else indices), len(shape) - 1]
+    return shape[indices]
 
 
 def bend(shape: FloatArray) -> FloatArray:
-    """(d,) change of direction from a chain's first piece to its last; zero if there is one."""
+    """(d,) change of direction from a chain's first piece to its last; zero if it has one piece."""
     pieces = np.diff(distinct_points(shape), axis=0)
     lengths = np.linalg.norm(pieces, axis=1, keepdims=True)
     pieces = (pieces / np.where(lengths > 0.0, lengths, 1.0))[lengths[:, 0] > 0.0]
@@ -192,59 +192,59 @@ def bend(shape: FloatArray) -> FloatArray:
 
 
 def _chords(shape: FloatArray) -> FloatArray:
-    """Distances along straight pieces between points; those that coincide are kept apart."""
+    """Cumulative chord lengths of points; they increase even where points coincide."""
     steps = np.linalg.norm(np.diff(shape, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-9 + 1e-9 * steps.sum()))])
 
 
-#: A point that is lost jumps by so many of the longest steps that it makes otherwise, of which so
-#: many may be wrong samples.
-_JUMP, _WRONG = 3.0, 2
-#: Where a point never comes nearer to a value than this share of its own way, the value is none of
-#: its places.
-_NEVER_NEAR = 0.5
+#: A lost point jumps by this multiple of its longest other step; number of longest steps that are
+#: ignored as outliers.
+_JUMP_RATIO, _OUTLIERS = 3.0, 2
+#: A value to which a point never comes nearer than this fraction of its span is not one of its
+#: positions.
+_MIN_DISTANCE = 0.5
 
 
 def means_lost(value: float, raw: FloatArray) -> bool:
     """Whether a value in all coordinates of a point (rows, d) marks that it was not seen.
 
-    A place that is passed, or at which a point rests before or after its motion, is no such.
+    A position that a point passes, or at which it rests before or after its motion, is not.
     """
-    there = np.all(raw == value, axis=1)
-    rest = raw[~there & np.isfinite(raw).all(axis=1)]
-    if not there.any() or len(rest) < FEWEST_REST:
+    equal = np.all(raw == value, axis=1)
+    others = raw[~equal & np.isfinite(raw).all(axis=1)]
+    if not equal.any() or len(others) < FEWEST_REST:
         return False
-    span = np.ptp(rest, axis=0).max()
-    if np.linalg.norm(rest - value, axis=1).min() > _NEVER_NEAR * span:
+    span = np.ptp(others, axis=0).max()
+    if np.linalg.norm(others - value, axis=1).min() > _MIN_DISTANCE * span:
         return True
-    seen = np.flatnonzero(np.isfinite(raw).all(axis=1))
-    both_sides = not there[seen[0]] and not there[seen[-1]]
-    return bool(both_sides and _jumps(raw, value, there)[there].all())
+    visible = np.flatnonzero(np.isfinite(raw).all(axis=1))
+    both_sides = not equal[visible[0]] and not equal[visible[-1]]
+    return bool(both_sides and _jumps(raw, value, equal)[equal].all())
 
 
 def lost_rows(raw: FloatArray, values: Sequence[float], of_hand: bool) -> NDArray[np.bool_]:
     """(rows,) whether all coordinates of a point (rows, d) equal one value that means "lost".
 
-    of_hand  a gripper may rest at a value that means that a marker was lost, such as 0: of it only
-             those rows count to which it jumps and from which it jumps back
+    of_hand  the point is the gripper's, which may rest at such a value, for instance 0: only rows
+             count to which it jumps and from which it jumps back
     """
     lost = np.zeros(len(raw), dtype=bool)
     for value in values:
-        there = np.all(raw == value, axis=1)
-        lost |= _jumps(raw, value, there) if of_hand else there
+        equal = np.all(raw == value, axis=1)
+        lost |= _jumps(raw, value, equal) if of_hand else equal
     return lost
 
 
-def _jumps(raw: FloatArray, value: float, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Those of the rows between which and the rows beside them a point jumps."""
-    known = np.flatnonzero(~there & np.isfinite(raw).all(axis=1))
-    if not there.any() or not len(known):
+def _jumps(raw: FloatArray, value: float, equal: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(rows,) those of the rows equal to `value` that a point reaches and leaves by a jump."""
+    valid = np.flatnonzero(~equal & np.isfinite(raw).all(axis=1))
+    if not equal.any() or not len(valid):
         return np.zeros(len(raw), dtype=bool)
-    steps = np.linalg.norm(np.diff(raw[known], axis=0), axis=1)[np.diff(known) == 1]
-    usual = float(np.sort(steps)[max(0, len(steps) - 1 - _WRONG)]) if len(steps) else 0.0
-    away = np.linalg.norm(raw - value, axis=1)
-    after = np.searchsorted(known, np.arange(len(raw)))
-    beside = np.full((2, len(raw)), np.inf)
-    beside[0, after > 0] = away[known[after[after > 0] - 1]]
-    beside[1, after < len(known)] = away[known[after[after < len(known)]]]
-    return np.asarray(there & (beside.min(axis=0) > _JUMP * usual))
+    steps = np.linalg.norm(np.diff(raw[valid], axis=0), axis=1)[np.diff(valid) == 1]
+    longest = float(np.sort(steps)[max(0, len(steps) - 1 - _OUTLIERS)]) if len(steps) else 0.0
+    distance = np.linalg.norm(raw - value, axis=1)
+    after = np.searchsorted(valid, np.arange(len(raw)))
+    neighbours = np.full((2, len(raw)), np.inf)
+    neighbours[0, after > 0] = distance[valid[after[after > 0] - 1]]
+    neighbours[1, after < len(valid)] = distance[valid[after[after < len(valid)]]]
+    return np.asarray(equal & (neighbours.min(axis=0) > _JUMP_RATIO * longest))
