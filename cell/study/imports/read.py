@@ -47,7 +47,7 @@ def read_records(path: Path) -> Capture:
 
 
 def _without_nulls(content: Any) -> Any:
-    """The same with nan where a list has no number."""
+    """Content with nan in place of nulls in lists."""
     if isinstance(content, dict):
         return {key: _without_nulls(value) for key, value in content.items()}
     if isinstance(content, list) and not any(isinstance(c, dict) for c in content):
@@ -58,17 +58,17 @@ def _without_nulls(content: Any) -> Any:
 def _table(path: Path, records: Sequence[tuple[int, Any]], counted: str) -> Capture:
     rows = [dict(cells(record)) for _, record in records]
     columns = list(dict.fromkeys(column for row in rows for column in row))
-    words = {c.name for row in rows for c, value in row.items() if isinstance(value, str)}
-    kept = [c for c in columns if c.name not in words]
-    if len(rows) < FEWEST_RECORDS or not kept:
+    text_names = {c.name for row in rows for c, value in row.items() if isinstance(value, str)}
+    numeric = [c for c in columns if c.name not in text_names]
+    if len(rows) < FEWEST_RECORDS or not numeric:
         message = "holds no list of records with numbers; give one record per time, each with its "
         raise InputError.at(path, f"{message}time and the places of the points")
-    values = np.array([[row.get(c, np.nan) for c in kept] for row in rows], dtype=np.float64)
+    values = np.array([[row.get(c, np.nan) for c in numeric] for row in rows], dtype=np.float64)
     lines = np.array([i for i, _ in records], dtype=np.intp)
     labels = {
-        c.name: [str(row.get(c, "")) for row in rows] for c in columns if c.name in words
+        c.name: [str(row.get(c, "")) for row in rows] for c in columns if c.name in text_names
     }  # fmt: skip
-    return pivoted(Capture(path, tuple(kept), values, lines, counted=counted), labels)
+    return pivoted(Capture(path, tuple(numeric), values, lines, counted=counted), labels)
 
 
 #: Keys that the second line may hold; the third has their values.
@@ -86,18 +86,18 @@ def read_trc(path: Path) -> Capture:
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         message = "is no TRC file: its first line does not begin with PathFileType"
         raise InputError.at(path, f"{message}; export it again")
-    said = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    missing = [key for key in _KEYS if not said.get(key, "").strip()]
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    missing = [key for key in _KEYS if not header.get(key, "").strip()]
     if missing:
         message = f"{missing[0]} is not stated; add it to lines 2 and 3"
         raise InputError.at(path, message, line=2)
-    rate_hz = number(said["DataRate"], ".")
-    unit = unit_of(said["Units"])
+    rate_hz = number(header["DataRate"], ".")
+    unit = unit_of(header["Units"])
     if rate_hz is None or not rate_hz > 0.0:
-        message = f"DataRate {said['DataRate']!r} is no rate; give frames a second"
+        message = f"DataRate {header['DataRate']!r} is no rate; give frames a second"
         raise InputError.at(path, message, line=3)
     if unit not in METRES:
-        message = f"Units {said['Units']!r} is no length; give one of {', '.join(METRES)}"
+        message = f"Units {header['Units']!r} is no length; give one of {', '.join(METRES)}"
         raise InputError.at(path, message, line=3)
     markers = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
     twice = next((m for m in markers if markers.count(m) > 1), None)
@@ -120,17 +120,17 @@ def _rows(path: Path, lines: list[str], names: list[str]) -> tuple[np.ndarray, n
             cells.pop()
         if not any(c.strip() for c in cells):
             continue
-        # Nothing at the end of a line: the last markers are not seen.
+        # Cells missing at the end of a line: the last markers are not seen.
         cells += [""] * (len(names) - len(cells) if len(cells) > 1 else 0)
         if len(cells) != len(names):
             message = f"has {len(cells)} cells between tabs, the header names {len(names)} columns"
             raise InputError.at(path, f"{message}; mend the line", line=line)
-        found = [number(c, ".") for c in cells]
-        if None in found:
-            bad = found.index(None)
+        row = [number(c, ".") for c in cells]
+        if None in row:
+            bad = row.index(None)
             message = f"{cells[bad]!r} is not a number; give one, or nothing where nothing was seen"
             raise InputError.at(path, message, line=line, key=names[bad])
-        rows.append(found)
+        rows.append(row)
         numbers.append(line)
     if not rows:
         message = "has no rows below its header; export it again"
@@ -152,7 +152,7 @@ def read_c3d(path: Path) -> Capture:
         raise InputError.at(path, "cannot be read: there is no such file; check the name")
     try:
         content = ezc3d.c3d(str(path))
-    except Exception as error:  # its reader, in C++, raises what it likes of a damaged file
+    except Exception as error:  # the C++ reader raises any exception for a damaged file
         message = f"is no C3D file or is damaged ({error}); export it again"
         raise InputError.at(path, message) from error
     parameters = content["parameters"]["POINT"]
@@ -172,7 +172,7 @@ def read_c3d(path: Path) -> Capture:
     units = parameters.get("UNITS", {"value": []})["value"]
     unit = unit_of(str(units[0])) if len(units) else ""
     residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=np.float64)
-    xyz[:, (residuals < 0.0).reshape(xyz.shape[1:])] = np.nan  # so a point that was not seen
+    xyz[:, (residuals < 0.0).reshape(xyz.shape[1:])] = np.nan  # marks points that were not seen
     frames = _first_frame(content) + np.arange(xyz.shape[2])
     columns = [CapturedColumn("Time", "s")]
     columns += [CapturedColumn(f"{label} {axis}", unit) for label in labels for axis in "XYZ"]
@@ -204,12 +204,12 @@ KINDS = (*TABLES, *_READERS)
 def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     """Read a table, a TRC, C3D or MCAP file, or a file of arrays, by the ending of its name.
 
-    form    of a text table; None = found from the text
+    form    of a text table; None = detected from the text
     raises  InputError: it cannot be read
     """
-    whole, part = split_part(path)
-    ending = whole.suffix.lower()
-    if part or (ending not in _READERS and is_line_protocol(whole)):
+    file, part = split_part(path)
+    ending = file.suffix.lower()
+    if part or (ending not in _READERS and is_line_protocol(file)):
         capture = read_container(path)
     elif ending in _READERS:
         capture = _READERS[ending](path)
@@ -219,19 +219,19 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
         capture = read_delimited(path, form)
     else:
         capture = _of_unknown_kind(path, form)
-    sure = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
-    return with_quaternions(repaired(without_held(sure)))
+    cleaned = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
+    return with_quaternions(repaired(without_held(cleaned)))
 
 
 def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:
-    """A table of text under any ending.  Raises InputError: it is none."""
+    """A text table with an unknown ending.  Raises InputError: it is none."""
     ending = path.suffix.lower() or "no ending"
     if not is_text(path):
         message = f"{ending} is no kind of file that is read; give "
         message += f"{', '.join(KINDS)}, or a video with --config and --hand"
         raise InputError.at(path, message)
     try:
-        made = read_delimited(path, form)
+        capture = read_delimited(path, form)
     except InputError as error:
         message = f"; {ending} is no kind that is known, and was tried as a table of text: export "
         message += "a CSV with a line of names, of times and places"
@@ -239,4 +239,4 @@ def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:
             [replace(p, message=p.message + message) for p in error.problems]
         ) from error
     note = f"{path}: {ending} is no kind that is known: it is read as a table of text"
-    return replace(made, notes=(note, *made.notes))
+    return replace(capture, notes=(note, *capture.notes))

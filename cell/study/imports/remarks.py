@@ -1,4 +1,4 @@
-"""What remarks above a table state in their text, and units that stand in its cells."""
+"""Reads rate, units and pixel size from remarks above a table, and units from its cells."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ _PIXELS = (
 
 
 def _texts(rows: _Lines) -> list[tuple[int, str]]:
-    """Lines that say something in an only cell, or `key=value`."""
+    """Line numbers, and texts of their filled cells."""
     return [(line, ", ".join(c for c in cells if c.strip())) for line, cells in rows]
 
 
 def stated_in_remarks(rows: _Lines) -> tuple[float | None, str]:
-    """Rate and unit of length within the text of remarks, if they state one each."""
+    """Rate and unit of length in the text of remarks; each only if it is unambiguous."""
     texts = [text for _, text in _texts(rows)]
-    rates = {float(found[1]) for text in texts for form in _RATES for found in form.finditer(text)}
+    rates = {float(match[1]) for text in texts for form in _RATES for match in form.finditer(text)}
     rates.discard(0.0)
-    units = {unit_of(found[1]) for text in texts for found in _UNITS.finditer(text)} & set(METRES)
+    units = {unit_of(match[1]) for text in texts for match in _UNITS.finditer(text)} & set(METRES)
     return (rates.pop() if len(rates) == 1 else None), (units.pop() if len(units) == 1 else "")
 
 
@@ -48,9 +48,9 @@ def stated_pixel_m(path: Path, rows: _Lines) -> float | None:
     sizes: dict[float, int] = {}
     for line, text in _texts(rows):
         for form in _PIXELS:
-            for found in form.finditer(text):
-                one, two = found[1], found[2]
-                value, unit = (two, one) if unit_of(one) else (one, two)
+            for match in form.finditer(text):
+                part_1, part_2 = match[1], match[2]
+                value, unit = (part_2, part_1) if unit_of(part_1) else (part_1, part_2)
                 if (size := float(value)) > 0.0:
                     size = 1.0 / size if form is _PIXELS[-1] else size
                     sizes.setdefault(size * METRES[unit_of(unit)], line)
@@ -65,7 +65,7 @@ def stated_pixel_m(path: Path, rows: _Lines) -> float | None:
 def without_units(
     path: Path, table: Sequence[Row], stated: Sequence[CapturedColumn], decimal: Decimal
 ) -> tuple[list[Row], tuple[CapturedColumn, ...]]:
-    """Rows without units in their cells, `0.004 sec`, which become those of the columns.
+    """Move units from cells, such as `0.004 sec`, to the columns.
 
     raises  InputError: a cell has another unit than its column
     """
@@ -76,23 +76,23 @@ def without_units(
         first = _unit_behind(filled, decimal)
         if not first:
             continue
-        told = {unit: row for row in rows[::-1]
-                if (unit := _unit_behind(row.cells[index], decimal))}  # fmt: skip
-        own = column.unit or first
-        other = next((unit for unit in told if unit != own), None)
+        row_of_unit = {unit: row for row in rows[::-1]
+                       if (unit := _unit_behind(row.cells[index], decimal))}  # fmt: skip
+        column_unit = column.unit or first
+        other = next((unit for unit in row_of_unit if unit != column_unit), None)
         if other is not None:
-            message = f"is in {other}, the column in {own}; give one unit"
-            raise InputError.at(path, message, line=told[other].line, key=column.name)
-        columns[index] = replace(column, unit=own)
+            message = f"is in {other}, the column in {column_unit}; give one unit"
+            raise InputError.at(path, message, line=row_of_unit[other].line, key=column.name)
+        columns[index] = replace(column, unit=column_unit)
         for i, row in enumerate(rows):
-            if found := WITH_UNIT.fullmatch(row.cells[index].strip()):
-                cells = (*row.cells[:index], found[1], *row.cells[index + 1 :])
+            if match := WITH_UNIT.fullmatch(row.cells[index].strip()):
+                cells = (*row.cells[:index], match[1], *row.cells[index + 1 :])
                 rows[i] = Row(row.line, cells)
     return rows, tuple(columns)
 
 
 def _unit_behind(cell: str, decimal: Decimal) -> str:
-    """The unit behind a number; empty = there is none."""
-    found = WITH_UNIT.fullmatch(cell.strip())
-    unit = unit_of(found[2]) if found and is_number(found[1], decimal) else ""
+    """The unit after a number; empty = there is none."""
+    match = WITH_UNIT.fullmatch(cell.strip())
+    unit = unit_of(match[2]) if match and is_number(match[1], decimal) else ""
     return unit if unit in (*METRES, *SECONDS, *RADIANS) else ""

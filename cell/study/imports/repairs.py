@@ -1,4 +1,4 @@
-"""Values of a file brought to one form: no codes for gaps, no held rows, one unit, whole tracks."""
+"""Repairs values of a file: codes for gaps, held rows, mixed units, interrupted tracks."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Point, contents
 from cell.study.imports.units import METRES
 
-#: No measurement in any unit is so large; programs write such numbers where nothing was seen.
-_NO_VALUE = 1e20
+#: Smallest code that programs write for missing values; no measurement is so large.
+_MIN_CODE = 1e20
 
 
 def repaired(capture: Capture) -> Capture:
-    """The file with all of these repairs, each of which adds a note."""
+    """The file after the repairs of units and tracks, each of which adds a note."""
     return with_whole_tracks(with_one_unit(in_millimetres(capture)))
 
 
 def without_codes(capture: Capture) -> Capture:
-    """Without numbers that are too large for any measurement."""
-    codes = np.abs(capture.values) >= _NO_VALUE
+    """Replace codes for missing values by nan."""
+    codes = np.abs(capture.values) >= _MIN_CODE
     count = int(np.count_nonzero(codes))
     if not count:
         return capture
@@ -39,7 +39,7 @@ def without_codes(capture: Capture) -> Capture:
 
 
 def in_millimetres(capture: Capture) -> Capture:
-    """With places in pixels as places in mm, where the file states how long a pixel is."""
+    """Convert positions in pixels to mm, if the file states the length of a pixel."""
     size_m = capture.pixel_m
     points = [p for p in contents(capture).points if p.unit == "px"]
     if size_m is None or not points:
@@ -50,7 +50,7 @@ def in_millimetres(capture: Capture) -> Capture:
 
 
 def with_one_unit(capture: Capture) -> Capture:
-    """With all places in metres, where the file states one unit for some and another for others."""
+    """Convert all positions to metres, if the file states different units for them."""
     points = contents(capture).points
     units = sorted({p.unit for p in points})
     if len(units) < 2 or not set(units) <= set(METRES):
@@ -61,7 +61,7 @@ def with_one_unit(capture: Capture) -> Capture:
 
 
 def _scaled(capture: Capture, factors: dict[str, tuple[float, str]]) -> Capture:
-    """With columns multiplied, and their new unit."""
+    """Multiply columns by factors, and set their new units."""
     each = [factors.get(c.name, (1.0, c.unit)) for c in capture.columns]
     columns = tuple(
         CapturedColumn(c.name, unit) for c, (_, unit) in zip(capture.columns, each, strict=True)
@@ -71,35 +71,35 @@ def _scaled(capture: Capture, factors: dict[str, tuple[float, str]]) -> Capture:
     )
 
 
-#: A track goes on with another one that begins at most so many rows after its end …
+#: Maximum rows between the end of a track and the start of its continuation …
 _GAP_ROWS = 100
-#: … at a place that is away from its end by less than this share of the distance to other points.
-_NEARER = 0.5
-#: Nearest points, whose mean motion is that of the track while it is lost.
+#: … and maximum distance between both, as a fraction of the distance to other points.
+_MAX_DISTANCE = 0.5
+#: Number of nearest points, whose mean motion is assumed for the track while it is lost.
 _NEIGHBOURS = 2
 
 
 def with_whole_tracks(capture: Capture) -> Capture:
-    """With tracks of one marker that was lost and found under a new name as one point.
+    """Join tracks of one marker that was lost and detected again under a new name.
 
-    Their names differ in numbers only, one ends before the other begins, and no third point is
-    near: then the columns of the first have the places of both.
+    Tracks are joined if their names differ in numbers only, one ends before the other begins, and
+    no third point is near.  The first one's columns then hold both.
     """
     points = [p for p in contents(capture).points if not p.on_gripper]
     while (pair := _continued(capture, points)) is not None:
         first, second = pair
         values = capture.values.copy()
         places = np.array([capture.names.index(c) for c in first.columns])
-        more = capture.at(second.columns)
-        seen = np.isfinite(more).all(axis=1)
-        values[np.ix_(np.flatnonzero(seen), places)] = more[seen]
-        gone = set(second.columns)
-        kept = [i for i, name in enumerate(capture.names) if name not in gone]
+        continuation = capture.at(second.columns)
+        visible = np.isfinite(continuation).all(axis=1)
+        values[np.ix_(np.flatnonzero(visible), places)] = continuation[visible]
+        removed = set(second.columns)
+        remaining = [i for i, name in enumerate(capture.names) if name not in removed]
         note = f"{capture.path}: {second.name!r} begins where {first.name!r} ends: it is one marker"
         capture = replace(
             capture,
-            columns=tuple(capture.columns[i] for i in kept),
-            values=values[:, kept],
+            columns=tuple(capture.columns[i] for i in remaining),
+            values=values[:, remaining],
             notes=(*capture.notes, note),
         )
         points.remove(second)
@@ -107,40 +107,40 @@ def with_whole_tracks(capture: Capture) -> Capture:
 
 
 def _continued(capture: Capture, points: Sequence[Point]) -> tuple[Point, Point] | None:
-    """A track and the one that goes on with it; None = there is none."""
+    """A track and its continuation; None = there is none."""
     raw = {p.name: capture.at(p.columns) for p in points}
     rows = {n: np.flatnonzero(np.isfinite(r).all(axis=1)) for n, r in raw.items()}
     for first, second in permutations(points, 2):
         before, after = rows[first.name], rows[second.name]
-        alike = re.sub(r"\d+", "", first.name) == re.sub(r"\d+", "", second.name)
-        if not alike or len(first.columns) != len(second.columns) or not len(before):
+        same_name = re.sub(r"\d+", "", first.name) == re.sub(r"\d+", "", second.name)
+        if not same_name or len(first.columns) != len(second.columns) or not len(before):
             continue
         if not len(after) or not 0 < after[0] - before[-1] <= _GAP_ROWS:
             continue
         others = [raw[p.name] for p in points if p not in (first, second)]
-        if _near(raw[first.name], raw[second.name], others, (int(before[-1]), int(after[0]))):
+        if _continues(raw[first.name], raw[second.name], others, (int(before[-1]), int(after[0]))):
             return first, second
     return None
 
 
-def _near(
+def _continues(
     first: FloatArray, second: FloatArray, others: Sequence[FloatArray], rows: tuple[int, int]
 ) -> bool:
-    """Whether a track goes on with the second, moved as the points next to it were meanwhile.
+    """Whether the second track continues the first, if it moved as its nearest points.
 
-    rows  the last one of the first track, and the first one of the second
+    rows  last row of the first track, and first row of the second
     """
     end, begin = rows
-    alike = [o for o in others if o.shape[1] == first.shape[1] == second.shape[1]]
-    there = [o for o in alike if np.isfinite(o[end] + o[begin]).all()]
-    if not there:
+    comparable = [o for o in others if o.shape[1] == first.shape[1] == second.shape[1]]
+    visible = [o for o in comparable if np.isfinite(o[end] + o[begin]).all()]
+    if not visible:
         return False
-    from_end = np.array([np.linalg.norm(o[end] - first[end]) for o in there])
-    from_begin = np.array([np.linalg.norm(o[begin] - second[begin]) for o in there])
-    moved = np.array([o[begin] - o[end] for o in there])
+    from_end = np.array([np.linalg.norm(o[end] - first[end]) for o in visible])
+    from_begin = np.array([np.linalg.norm(o[begin] - second[begin]) for o in visible])
+    moved = np.array([o[begin] - o[end] for o in visible])
     expected = moved[np.argsort(from_end)[:_NEIGHBOURS]].mean(axis=0)
-    away = float(np.linalg.norm(second[begin] - first[end] - expected))
-    return away < _NEARER * float(min(from_end.min(), from_begin.min()))
+    distance = float(np.linalg.norm(second[begin] - first[end] - expected))
+    return distance < _MAX_DISTANCE * float(min(from_end.min(), from_begin.min()))
 
 
 _COORDINATES = (ColumnKind.COORDINATE,)
@@ -148,31 +148,31 @@ _VISIBLE = frozenset(("v", "vis", "visibility"))
 
 
 def without_hidden(capture: Capture) -> Capture:
-    """Without places for which a column of visibility, 1 or 0, has a 0.
+    """Replace positions by nan where a visibility column (1 or 0) is 0.
 
-    It belongs to the point of its name, else to the one in the columns before it.
+    It belongs to the point of its name, else to the point in the columns before it.
     """
     kinds = [meaning(c) for c in capture.columns]
     values, notes = capture.values.copy(), list(capture.notes)
     for index, column in enumerate(capture.columns):
         words = re.split(r"[^a-z0-9]+|_", column.name.lower())
-        shown = capture.values[:, index]
-        if words[-1] not in _VISIBLE or set(np.unique(shown)) != {0.0, 1.0}:
+        visible = capture.values[:, index]
+        if words[-1] not in _VISIBLE or set(np.unique(visible)) != {0.0, 1.0}:
             continue
-        places, group = [], None
+        indices, group = [], None
         for before in range(index - 1, -1, -1):
             if kinds[before].kind not in _COORDINATES or group not in (None, kinds[before].group):
                 break
             group = kinds[before].group
-            places.append(before)
-        named = " ".join(words[:-1])
-        own = [i for i, m in enumerate(kinds) if m.kind in _COORDINATES and m.group == named]
-        places = own or places
-        hidden = shown == 0.0
-        if len(places) < 2:
+            indices.append(before)
+        name = " ".join(words[:-1])
+        by_name = [i for i, m in enumerate(kinds) if m.kind in _COORDINATES and m.group == name]
+        indices = by_name or indices
+        hidden = visible == 0.0
+        if len(indices) < 2:
             continue
-        values[np.ix_(np.flatnonzero(hidden), np.array(places))] = np.nan
-        point = kinds[places[0]].group
+        values[np.ix_(np.flatnonzero(hidden), np.array(indices))] = np.nan
+        point = kinds[indices[0]].group
         count = int(np.count_nonzero(hidden))
         notes.append(
             f"{capture.path}: {column.name!r} is 0 in {count} rows: {point!r} was not seen there"
@@ -180,33 +180,33 @@ def without_hidden(capture: Capture) -> Capture:
     return replace(capture, values=values, notes=tuple(notes))
 
 
-#: Share of a point's places that are held for as many rows each; a sensor at rest has no such rows.
-_REGULAR = 0.8
-_FEWEST = 10
+#: Minimum fraction of positions that are held for the same number of rows, and minimum count.
+_MIN_REGULAR = 0.8
+_MIN_COUNT = 10
 
 
 def without_held(capture: Capture) -> Capture:
-    """The file without places that a program repeats until the next one is measured.
+    """Replace positions by nan that a program repeats until the next one is measured.
 
-    A point's places are held if each stands in as many rows, two at least, all over the file.
+    Positions are held if each is repeated in the same number of rows, two at least.
     """
     values, held = capture.values, dict[int, list[str]]()
     for point in contents(capture).points:
         columns = [capture.names.index(name) for name in point.columns]
         places = capture.values[:, columns]
-        new = np.append(True, np.any(np.diff(places, axis=0) != 0.0, axis=1))
-        begins = np.flatnonzero(new)
-        if len(begins) < _FEWEST or len(begins) * 2 > len(places):
+        is_new = np.append(True, np.any(np.diff(places, axis=0) != 0.0, axis=1))
+        starts = np.flatnonzero(is_new)
+        if len(starts) < _MIN_COUNT or len(starts) * 2 > len(places):
             continue
-        rows, count = Counter(np.diff(begins).tolist()).most_common(1)[0]
-        if rows < 2 or count < _REGULAR * (len(begins) - 1):
+        rows, count = Counter(np.diff(starts).tolist()).most_common(1)[0]
+        if rows < 2 or count < _MIN_REGULAR * (len(starts) - 1):
             continue
         values = values.copy() if values is capture.values else values
-        values[np.ix_(~new, np.array(columns))] = np.nan
+        values[np.ix_(~is_new, np.array(columns))] = np.nan
         held.setdefault(rows, []).append(point.name)
-    told = [
+    held_notes = [
         f"{capture.path}: each place of {first_of(names, 3)} stands in {rows} rows: it is measured "
         "in the first, and only held in the others, which are not read"
         for rows, names in held.items()
     ]
-    return replace(capture, values=values, notes=(*capture.notes, *told))
+    return replace(capture, values=values, notes=(*capture.notes, *held_notes))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 
-#: Metres, seconds and radians that one of a unit is.
+#: Size of units in metres, seconds and radians.
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "µm": 1e-6, "in": 0.0254, "ft": 0.3048}
 SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0}
 RADIANS = {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3}
-#: What else a row of units may hold; of no use here, but no name of a column either.
+#: Further units that a row of units may hold; they are not converted.
 _OTHERS = ("px", "hz", "frames", "m/s", "mm/s", "m/s^2", "mm/s^2", "g", "rad/s", "deg/s", "n", "1")
 
 _SPELLED = {
@@ -43,10 +43,10 @@ def split_unit(name: str) -> tuple[str, str]:
 
     `tip_x_mm`, `tip x [mm]` and `tip x (Millimeters)` are all tip x in mm.
     """
-    found = _AT_END.match(name.strip())
-    if found is None:
+    match = _AT_END.match(name.strip())
+    if match is None:
         return name.strip(), ""
-    bare, bracketed, after = found.groups()
+    bare, bracketed, after = match.groups()
     unit = unit_of(bracketed or after or "")
     if not unit or not bare.strip(" _/") or unit in ("n", "g", "1"):
         return name.strip(), ""
