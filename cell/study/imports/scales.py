@@ -1,4 +1,4 @@
-"""Units of time and length for files that state none, and standard deviations of arc lengths."""
+"""Estimates units of time and length, and standard deviations of arc lengths."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from cell.study.series import noise_m
 
 #: Spreadsheets count days.
 _DAY = {"day": 86_400.0}
-#: A log has so many times more or fewer rows a second than its file states, at most.
-_OTHER_RATE = 5.0
-#: A stated rate and stated times contradict each other from this share on: times rounded to
-#: milliseconds, and rates to whole numbers, differ by less.
-_CONTRADICTS = 0.05
-#: Lengths of cables that anybody films, in each unit; what is in two ranges is a guess.
+#: Maximum ratio between the row rate of a log and the rate that its file states, or its inverse.
+_RATE_RATIO = 5.0
+#: Maximum relative difference between a stated rate and stated times.  Rounding, of times to
+#: milliseconds and of rates to integers, causes less.
+_RATE_ERROR = 0.05
+#: Range of lengths of usual cables, m; units that give a length in it are candidates.
 _USUAL_M = (0.02, 5.0)
-#: A stated unit that makes the markers span less is a wrong one, m.
+#: Minimum span of markers, m; a stated unit that gives less is wrong.
 _SHORTEST_M = 0.005
-#: A stated free length decides the unit if the chain is this share longer or shorter at most.
-_WITHIN = 0.3
-#: Markers that span so many times more or less than the cable are in another unit.
+#: Maximum relative difference of the chain from the free length for determining the unit.
+_LENGTH_ERROR = 0.3
+#: Ratio of the markers' span to the free length, or its inverse, from which the unit is wrong.
 WRONG_UNIT = 3.0
-#: A rate is another one if it differs by more than two digits of 1 / rate may do.
+#: Maximum relative difference of equal rates, for 1 / rate with two digits.
 _SAME_RATE = 0.005
-#: Two files of one motion last equally long within these factors.
-_AS_LONG = (0.5, 3.0)
-#: What begins later than this counts from another epoch, s.
+#: Range of the ratio between the durations of two files of one motion.
+_DURATION_RATIOS = (0.5, 3.0)
+#: Times that begin later than this count from another epoch, s.
 _EPOCH_S = 1000.0
 
 
@@ -42,7 +42,7 @@ def time_section(
 ) -> tuple[TimeSection, Finding]:
     """Column of time and its unit.
 
-    rate_hz  rows a second that somebody stated; None = as the file states
+    rate_hz  rows a second that the user states; None = as the file states
     lasts_s  duration of another file of the same motion; None = there is none
     """
     column = inside.time or ROW_NUMBER
@@ -61,7 +61,7 @@ def time_section(
         else:
             unit, sure, why = _second(counts, step, steps, rate_hz, capture.rate_hz)
         if unit is None and lasts_s is not None:
-            unit, sure, why = _as_long(float(np.nansum(steps)), lasts_s) or (unit, sure, why)
+            unit, sure, why = _by_duration(float(np.nansum(steps)), lasts_s) or (unit, sure, why)
     first = float(capture.column(column)[0]) * (unit or 1.0)
     zero = counts or abs(first) > _EPOCH_S
     if unit is None:
@@ -82,7 +82,7 @@ def is_coarse(times: FloatArray) -> bool:
 
 
 def other_rate(capture: Capture, section: TimeSection) -> str:
-    """Message that rows are timed at another rate than their file states; else empty."""
+    """Message if the mapping's row rate differs from the file's; else empty."""
     unit, rate_hz = section.seconds_per_unit, capture.rate_hz
     counts = (
         section.column == ROW_NUMBER
@@ -101,19 +101,19 @@ def other_rate(capture: Capture, section: TimeSection) -> str:
 def _as_stated(
     name: str, steps: tuple[float, float], wanted_hz: float | None, file_hz: float | None
 ) -> tuple[float | None, Sure, str]:
-    """Seconds a unit that the file states, unless a rate contradicts it.
+    """Seconds a unit as the file states, unless a rate contradicts it; how sure, and why.
 
     steps  median and mean between rows
     """
     unit = SECONDS[name]
-    for rate_hz, whose in ((wanted_hz, "--rate says"), (file_hz, "the file's header says")):
+    for rate_hz, source in ((wanted_hz, "--rate says"), (file_hz, "the file's header says")):
         if rate_hz is None or min(steps) <= 0.0:
             continue
-        if all(abs(step * unit * rate_hz - 1.0) > _CONTRADICTS for step in steps):
+        if all(abs(step * unit * rate_hz - 1.0) > _RATE_ERROR for step in steps):
             shown = f"the file says {name}, which makes {1.0 / (steps[0] * unit):.4g} rows a second"
-            if whose.startswith("--"):
-                return None, Sure.WANTED, f"{shown}, yet {whose} {rate_hz:g}"
-            return unit, Sure.GUESSED, f"{shown}, though {whose} {rate_hz:g}"
+            if source.startswith("--"):
+                return None, Sure.WANTED, f"{shown}, yet {source} {rate_hz:g}"
+            return unit, Sure.GUESSED, f"{shown}, though {source} {rate_hz:g}"
     return unit, Sure.SAID, f"the file says {name}"
 
 
@@ -122,7 +122,7 @@ def _second(
 ) -> tuple[float | None, Sure, str]:
     """Seconds a unit that the file does not state, how sure, and why.
 
-    wanted_hz, file_hz  rows a second that somebody and that the file states; None = not stated
+    wanted_hz, file_hz  rows a second as the user and as the file state; None = not stated
     """
     rate_hz = wanted_hz or file_hz
     if counts:
@@ -131,14 +131,14 @@ def _second(
         return 1.0 / rate_hz, Sure.SAID, f"{rate_hz:g} rows a second are stated"
     by_steps, sure, why = _by_steps(step, steps)
     if rate_hz is not None and step > 0.0:
-        wanted = 1.0 / rate_hz / step
+        target = 1.0 / rate_hz / step
         units = (SECONDS | _DAY).values()
-        unit = min(units, key=lambda u: abs(np.log(u / wanted)))
-        if abs(np.log(unit / wanted)) <= _CONTRADICTS:
+        unit = min(units, key=lambda u: abs(np.log(u / target)))
+        if abs(np.log(unit / target)) <= _RATE_ERROR:
             return unit, Sure.SAID, f"{rate_hz:g} rows a second are stated"
-        if wanted_hz is None and by_steps and abs(np.log(by_steps / wanted)) < np.log(_OTHER_RATE):
+        if wanted_hz is None and by_steps and abs(np.log(by_steps / target)) < np.log(_RATE_RATIO):
             return by_steps, sure, f"{why}, though the file states {rate_hz:g} rows a second"
-        return float(f"{wanted:.6g}"), Sure.SAID, f"{rate_hz:g} rows a second are stated"
+        return float(f"{target:.6g}"), Sure.SAID, f"{rate_hz:g} rows a second are stated"
     return by_steps, sure, why
 
 
@@ -154,18 +154,18 @@ def _by_steps(step: float, steps: FloatArray) -> tuple[float | None, Sure, str]:
     return None, Sure.WANTED, "no unit makes it a film"
 
 
-def _as_long(span: float, lasts_s: float) -> tuple[float, Sure, str] | None:
-    """The only unit in which times span as long as another file of the same motion lasts."""
-    low, high = _AS_LONG
-    fitting = [n for n, unit in SECONDS.items() if low < span * unit / lasts_s < high]
-    if len(fitting) != 1:
+def _by_duration(span: float, lasts_s: float) -> tuple[float, Sure, str] | None:
+    """Unit in which times span the duration of another file of the motion, if it is unique."""
+    low, high = _DURATION_RATIOS
+    candidates = [n for n, unit in SECONDS.items() if low < span * unit / lasts_s < high]
+    if len(candidates) != 1:
         return None
-    why = f"{fitting[0]}, for so it lasts as long as the markers' file"
-    return SECONDS[fitting[0]], Sure.GUESSED, why
+    reason = f"{candidates[0]}, for so it lasts as long as the markers' file"
+    return SECONDS[candidates[0]], Sure.GUESSED, reason
 
 
-def _fits(span_m: float, free_length_m: float | None) -> bool:
-    """Whether markers may span so much of a cable: three times less or more is another unit."""
+def _plausible(span_m: float, free_length_m: float | None) -> bool:
+    """Whether a span of markers is plausible for a cable; if not, the unit is wrong."""
     if free_length_m is None:
         return _SHORTEST_M <= span_m <= MAX_LENGTH_M
     return free_length_m / WRONG_UNIT < span_m < free_length_m * WRONG_UNIT
@@ -180,12 +180,12 @@ def metres_per_unit(
     extent  length of the chain of points, in the file's unit
     """
     stated = next((u for u in sorted(units) if u in METRES), "")
-    if stated and not _fits(METRES[stated] * extent, free_length_m):
+    if stated and not _plausible(METRES[stated] * extent, free_length_m):
         long = f"{METRES[stated] * extent:.4g} m"
         against = f"{_SHORTEST_M:g} to {MAX_LENGTH_M:g} m"
         against = against if free_length_m is None else f"{free_length_m:g} m"
         sentence = f"the file says {stated}, which makes the markers span {long} of a cable of "
-        sentence += f"{against}; give metres_per_unit{_likely(extent, free_length_m)}"
+        sentence += f"{against}; give metres_per_unit{_remedy(extent, free_length_m)}"
         return None, Finding("metres_per_unit", sentence, Sure.WANTED)
     if stated:
         sentence = f"lengths are in {stated}, as the file says"
@@ -193,7 +193,7 @@ def metres_per_unit(
     if free_length_m is not None and extent > 0.0:
         unit = free_length_m / extent
         name = min(METRES, key=lambda n: abs(np.log(METRES[n] / unit)))
-        if abs(np.log(METRES[name] / unit)) < np.log1p(_WITHIN):
+        if abs(np.log(METRES[name] / unit)) < np.log1p(_LENGTH_ERROR):
             sentence = f"lengths are in {name}: the markers span {extent:.4g} of the cable"
             return METRES[name], Finding("metres_per_unit", sentence, Sure.SEEN)
         sentence = (
@@ -203,47 +203,47 @@ def metres_per_unit(
         return float(f"{unit:.6g}"), Finding("metres_per_unit", sentence, Sure.GUESSED)
     if "px" not in units:
         low, high = _USUAL_M
-        fitting = [n for n in ("m", "mm", "cm") if low <= extent * METRES[n] <= high]
-        if fitting:
-            others = f", though {' or '.join(fitting[1:])} would do" if fitting[1:] else ""
-            sentence = f"lengths are in {fitting[0]}, a guess by their size {extent:.4g}{others}"
-            return METRES[fitting[0]], Finding("metres_per_unit", sentence, Sure.GUESSED)
+        candidates = [n for n in ("m", "mm", "cm") if low <= extent * METRES[n] <= high]
+        if candidates:
+            others = f", though {' or '.join(candidates[1:])} would do" if candidates[1:] else ""
+            sentence = f"lengths are in {candidates[0]}, a guess by their size {extent:.4g}{others}"
+            return METRES[candidates[0]], Finding("metres_per_unit", sentence, Sure.GUESSED)
     sentence = "the unit of length is not known; give metres_per_unit, or --free-length"
     return None, Finding("metres_per_unit", sentence, Sure.WANTED)
 
 
-def _likely(extent: float, free_length_m: float | None) -> str:
-    """The unit in which a chain of points is as long as a cable, in words; empty = none is."""
+def _remedy(extent: float, free_length_m: float | None) -> str:
+    """Text that proposes the most plausible unit; empty = there is none."""
     low, high = _USUAL_M
-    fitting = [n for n in METRES if extent > 0.0 and low <= extent * METRES[n] <= high]
+    candidates = [n for n in METRES if extent > 0.0 and low <= extent * METRES[n] <= high]
     if free_length_m is not None:
-        fitting = [n for n in METRES if _fits(extent * METRES[n], free_length_m)]
-        fitting.sort(key=lambda n: abs(np.log(METRES[n] * extent / free_length_m)))
-    if not fitting:
+        candidates = [n for n in METRES if _plausible(extent * METRES[n], free_length_m)]
+        candidates.sort(key=lambda n: abs(np.log(METRES[n] * extent / free_length_m)))
+    if not candidates:
         return ""
-    name = fitting[0]
+    name = candidates[0]
     return f": {METRES[name]:g} if they are {name}, then they span {METRES[name] * extent:.4g} m"
 
 
-#: Arc lengths are proposed to so much, m.
+#: Rounding step of proposed arc lengths, m.
 ROUNDED_M = 1e-5
-#: Values nearer to each other differ by how they are computed, m.
+#: Smaller differences between values are rounding errors, m.
 _SAME_M = 1e-9
-#: Consecutive rows are parted into so many blocks, long enough for a tracker's slow noise.
+#: Number of blocks of consecutive rows, each longer than the autocorrelation of a tracker's noise.
 _BLOCKS = 6
-#: Nothing shows the bend between two points: 0.7 rad make a curve this share longer.
-_TWO, _ONE_PIECE = 2, 0.02
-#: Of three points this share of what the middle one adds is left open; of more, this share of what
-#: the curve's length changes by if its ends are not bent: what was wrong on simulated cables.
+#: The bend between only two points is unknown: 0.7 rad make a curve this fraction longer.
+_PAIR, _OF_PAIR = 2, 0.02
+#: Error of a curve's length, from simulated cables.  Three points: fraction of what the middle one
+#: adds to the length.  More: fraction of the change by ends without curvature.
 _OF_MIDDLE, _OF_ENDS = 0.4, 0.5
 
 
 def arc_length_stds(places_m: FloatArray, length_m: float, from_hand: bool) -> FloatArray:
-    """(markers,) standard deviation of arc lengths that a curve through points shows, m.
+    """(markers,) standard deviation of arc lengths of a curve through points, m.
 
-    Noise shifts each marker by itself.  What the curve does between two points, and noise of the
-    gripper, is one error of all n markers; a study knows only independent ones, so it counts √n
-    times.
+    Noise of markers is independent.  The error of the curve between points, and noise of the
+    gripper, are common to all n markers.  A study allows independent errors only, so a common error
+    is multiplied by √n.
 
     places_m   (rows, points, 2 or 3) in their order along the cable, nan = not seen
     length_m   free length of the cable
@@ -251,13 +251,13 @@ def arc_length_stds(places_m: FloatArray, length_m: float, from_hand: bool) -> F
     """
     most_m = MAX_ARC_STD_FRACTION * length_m
     lengths, added_m = _lengths_by_block(places_m)
-    if len(lengths) < _TWO:
+    if len(lengths) < _PAIR:
         return np.full(places_m.shape[1] - from_hand, most_m)
     arcs = lengths[:, 1:] - lengths[:, :1] if from_hand else lengths - lengths[:, -1:]
     count = arcs.shape[1]
-    own = _of_mean(arcs)
-    alike = np.sqrt(count) * _of_mean(arcs.mean(axis=1, keepdims=True))
-    noise_std_m = np.maximum(own, max(float(np.sqrt(np.mean(own**2))), float(alike[0])))
+    each_m = _of_mean(arcs)
+    common_m = np.sqrt(count) * _of_mean(arcs.mean(axis=1, keepdims=True))
+    noise_std_m = np.maximum(each_m, max(float(np.sqrt(np.mean(each_m**2))), float(common_m[0])))
     rest = resting(places_m)
     shape = middle(places_m if rest is None else rest)
     curve_m = _between_points(shape, length_m) + added_m
@@ -272,22 +272,22 @@ def _of_mean(values: FloatArray) -> FloatArray:
 
 
 def _lengths_by_block(places_m: FloatArray) -> tuple[FloatArray, float]:
-    """(blocks, points) arc lengths by parts of the rows, and by what noise makes all longer, m."""
+    """(blocks, points) arc lengths in blocks of rows, and the length that noise adds, m."""
     rest = resting(places_m)
     if rest is not None:
         return np.array([arc_lengths(shape[None]) for shape in _shapes(rest)]), 0.0
     blocks = np.array_split(places_m, min(_BLOCKS, len(places_m)))
     lengths = np.array([arc_lengths(block) for block in blocks])
-    whole, added_m = places_m[np.isfinite(places_m).all(axis=(1, 2))], 0.0
-    if len(whole) > _TWO:  # each row's curve is that of noisy points
-        std_m = float(np.nan_to_num(noise_m(whole)))
-        noisier = whole + np.random.default_rng(0).normal(0.0, std_m, whole.shape)
-        added_m = float(abs(arc_lengths(noisier)[-1] - arc_lengths(whole)[-1]))
+    complete, added_m = places_m[np.isfinite(places_m).all(axis=(1, 2))], 0.0
+    if len(complete) > _PAIR:  # each row's curve is that of noisy points
+        std_m = float(np.nan_to_num(noise_m(complete)))
+        noisier = complete + np.random.default_rng(0).normal(0.0, std_m, complete.shape)
+        added_m = float(abs(arc_lengths(noisier)[-1] - arc_lengths(complete)[-1]))
     return lengths[np.isfinite(lengths).all(axis=1)], added_m
 
 
 def _shapes(rest: FloatArray) -> FloatArray:
-    """(blocks, points, d) medians of parts of the rows, of each point by those that show it."""
+    """(blocks, points, d) medians in blocks of rows, for each point of rows that show it."""
     each = [point[np.isfinite(point).all(axis=1)] for point in rest.transpose(1, 0, 2)]
     count = min(_BLOCKS, *(len(point) for point in each))
     blocks = [[np.median(b, axis=0) for b in np.array_split(point, count)] for point in each]
@@ -295,17 +295,17 @@ def _shapes(rest: FloatArray) -> FloatArray:
 
 
 def _between_points(shape: FloatArray, length_m: float) -> float:
-    """By how much a curve through points (points, d) may be longer or shorter than the cable, m."""
-    whole = float(arc_lengths(shape[None])[-1])
-    if len(shape) == _TWO:
-        return min(_ONE_PIECE * whole, max(length_m - whole, 0.0))
-    if len(shape) == _TWO + 1:
-        return _OF_MIDDLE * abs(whole - float(np.linalg.norm(shape[-1] - shape[0])))
-    return _OF_ENDS * abs(whole - float(arc_lengths(shape[None], "natural")[-1]))
+    """Possible error of the length of a curve through points (points, d), m."""
+    curve_m = float(arc_lengths(shape[None])[-1])
+    if len(shape) == _PAIR:
+        return min(_OF_PAIR * curve_m, max(length_m - curve_m, 0.0))
+    if len(shape) == _PAIR + 1:
+        return _OF_MIDDLE * abs(curve_m - float(np.linalg.norm(shape[-1] - shape[0])))
+    return _OF_ENDS * abs(curve_m - float(arc_lengths(shape[None], "natural")[-1]))
 
 
 def _step_m(places_m: FloatArray) -> float:
-    """Largest step to which a coordinate is rounded, m; so is its median, then."""
+    """Largest rounding step of a coordinate, m; it also rounds the median."""
     steps_m = [0.0]
     for values in places_m.reshape(len(places_m), -1).T:
         steps = np.diff(np.unique(values[np.isfinite(values)]))

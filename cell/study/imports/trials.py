@@ -33,7 +33,7 @@ class Files:
     """A trial's files as the mapping names them, and what they hold.
 
     joined_files  other files with the same times, whose columns are in the first one's capture
-    only  values of columns that tell its rows; empty = all are
+    only  column values that select its rows; empty = all rows
     """
 
     name: str
@@ -47,8 +47,8 @@ class Files:
     @property
     def in_one(self) -> bool:
         """Whether markers and gripper are parts of one file, which one program wrote."""
-        whole = self.file.partition(PART)[0]
-        return PART in self.file and (self.gripper_file or "").partition(PART)[0] == whole
+        container = self.file.partition(PART)[0]
+        return PART in self.file and (self.gripper_file or "").partition(PART)[0] == container
 
 
 def trial_names(files: Sequence[Path]) -> list[str]:
@@ -57,7 +57,7 @@ def trial_names(files: Sequence[Path]) -> list[str]:
 
 
 def unique_names(labels: Sequence[str]) -> list[str]:
-    """Labels as names of trials, no two alike."""
+    """Unique names of trials, made from labels."""
     names: list[str] = []
     for label in labels:
         name = re.sub(r"[^A-Za-z0-9_.-]+", "_", label).strip("_.-") or "trial"
@@ -72,18 +72,18 @@ def unique_names(labels: Sequence[str]) -> list[str]:
 def trial_entries(
     trials: Sequence[Files], mapping: Mapping, rate_hz: float | None, findings: ImportFindings
 ) -> list[TrialEntry]:
-    """Start, role and clock of every trial, and what its files have of their own.
+    """Start, role and clock of every trial, and entries in which its files differ.
 
-    rate_hz   rows a second that somebody stated for all files of markers
-    findings  those about the trials are added
+    rate_hz   rows a second that the user states for all files of markers
+    findings  findings about the trials are added
     raises    InputError: times are in disorder, or a column is missing
     """
     entries: list[TrialEntry] = []
     shared_s = _shared_clock(trials, mapping, findings)
     for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
         role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
-        own = _own(files, mapping, rate_hz, findings)
-        entry = entry.model_copy(update={"role": role, **own})
+        overrides = _overrides(files, mapping, rate_hz, findings)
+        entry = entry.model_copy(update={"role": role, **overrides})
         of_trial = mapping.of_trial(entry)
         if of_trial.time.seconds_per_unit is not None and mapping.metres_per_unit is not None:
             entry = entry.model_copy(update=_start_and_clock(files, of_trial, findings, shared_s))
@@ -94,58 +94,58 @@ def trial_entries(
     return entries
 
 
-def _own(
+def _overrides(
     files: Files, mapping: Mapping, rate_hz: float | None, findings: ImportFindings
 ) -> dict[str, Any]:
     """Entries of a trial in which its files differ from the first trial's."""
     hand = mapping.hand
-    own: dict[str, Any] = {}
-    both = [("", files.capture, mapping.text, mapping.time, rate_hz)]
+    overrides: dict[str, Any] = {}
+    sources = [("", files.capture, mapping.text, mapping.time, rate_hz)]
     if files.gripper is not None:
-        both.append(("hand_", files.gripper, hand.text, hand.time or mapping.time, None))
-    for prefix, capture, text, time, stated_hz in both:
+        sources.append(("hand_", files.gripper, hand.text, hand.time or mapping.time, None))
+    for prefix, capture, text, time, stated_hz in sources:
         form = TextSection.of(capture)
         if form != text and form is not None:
-            own[f"{prefix}text"] = form
+            overrides[f"{prefix}text"] = form
             sentence = f"{capture.path.name}: cells are separated by {form.separator!r}, "
             findings.seen("trials.text", f"{sentence}the decimal mark is {form.decimal!r}")
         unit = _seconds_per_unit(capture, time, stated_hz, findings)
         if unit is not None:
-            own[f"{prefix}seconds_per_unit"] = unit
-    return own
+            overrides[f"{prefix}seconds_per_unit"] = unit
+    return overrides
 
 
 def _seconds_per_unit(
     capture: Capture, section: TimeSection, rate_hz: float | None, findings: ImportFindings
 ) -> float | None:
-    """Seconds a unit of a file's times that it states otherwise than the first file does."""
-    own, found = time_section(capture, contents(capture), rate_hz)
-    unit, of_first = own.seconds_per_unit, section.seconds_per_unit
-    if own.column != section.column or unit == of_first:
+    """Seconds a unit of a file's times, if it differs from the first file's; else None."""
+    stated, finding = time_section(capture, contents(capture), rate_hz)
+    unit, first_unit = stated.seconds_per_unit, section.seconds_per_unit
+    if stated.column != section.column or unit == first_unit:
         return None
     entry, name = "trials.seconds_per_unit", capture.path.name
-    if found.sure is Sure.SAID and unit is not None:
-        findings.said(entry, f"{name}: {found.sentence}")
+    if finding.sure is Sure.SAID and unit is not None:
+        findings.said(entry, f"{name}: {finding.sentence}")
         return unit
-    if found.sure is Sure.WANTED and of_first is not None:
+    if finding.sure is Sure.WANTED and first_unit is not None:
         sentence = f"{name} states no rate: it is taken as that of the first trial, "
-        findings.guessed(entry, f"{sentence}{1.0 / of_first:g} rows a second")
+        findings.guessed(entry, f"{sentence}{1.0 / first_unit:g} rows a second")
     return None
 
 
-#: A clock is proposed to be off if it is so by more than this many rows.
+#: Minimum clock offset that is proposed, in rows.
 ROWS_OFF = 1.5
-#: The first marker follows the gripper closely if it is within this share of the cable.
+#: Maximum arc length, as a fraction of the cable, of a marker that follows the gripper closely.
 NEAR_HAND = 0.35
-#: Time zones differ by whole half hours, and by so much at most, s.
+#: Time zones differ by multiples of half an hour; maximum difference, s.
 _HALF_HOUR_S, _FARTHEST_S = 1800.0, 14 * 3600.0
-#: A gripper moves if it leaves its place by this share of the cable's length.
-_MOVES = 0.01
+#: Minimum displacement of a moving gripper, as a fraction of the cable's length.
+_MIN_MOTION = 0.01
 
 
-#: Clocks of trials in the rows of the same files are compared this much more finely, as several
-#: trials must agree.
-_TOGETHER = 0.5
+#: Factor on the tolerances of a clock offset that several trials in the rows of the same files
+#: show, as these must agree.
+_JOINT = 0.5
 
 
 def _shared_clock(
@@ -153,12 +153,12 @@ def _shared_clock(
 ) -> float | None:
     """Offset of the gripper's clock, s, where all trials are in the rows of the same files.
 
-    None = they are not, or their motions tell none that they agree on.
+    None = they are not, or their motions show no common offset.
     """
     time, hand_time = mapping.time, mapping.hand.time or mapping.time
     known = None not in (time.seconds_per_unit, hand_time.seconds_per_unit, mapping.metres_per_unit)
-    one = {(t.file, t.gripper_file) for t in trials if t.only and t.gripper is not None}
-    if len(trials) < 2 or len(one) != 1 or not all(t.only for t in trials) or not known:
+    file_pairs = {(t.file, t.gripper_file) for t in trials if t.only and t.gripper is not None}
+    if len(trials) < 2 or len(file_pairs) != 1 or not all(t.only for t in trials) or not known:
         return None
     if mapping.hand.columns is None or _counts(time) or _counts(hand_time):
         return None
@@ -180,8 +180,8 @@ def _shared_clock(
     if not shifts:
         return None
     shift_s = round(float(np.average(shifts, weights=weights)), 4)
-    apart_s = float(np.sqrt(np.average((np.array(shifts) - shift_s) ** 2, weights=weights)))
-    if not max(steps) * _TOGETHER * ROWS_OFF < abs(shift_s) or apart_s > _TOGETHER * max(steps):
+    spread_s = float(np.sqrt(np.average((np.array(shifts) - shift_s) ** 2, weights=weights)))
+    if not max(steps) * _JOINT * ROWS_OFF < abs(shift_s) or spread_s > _JOINT * max(steps):
         return None
     sentence = (
         f"{shift_s:+g} s are added to the gripper's clock in all trials, so that both move at "
@@ -195,7 +195,7 @@ def _start_and_clock(
 ) -> dict[str, Any]:
     """Entries `start`, `release_s` and `clock_offset_s` of a trial.
 
-    shared_s  offset of the clock that all trials show, s; None = this trial's is its own
+    shared_s  common clock offset of all trials, s; None = estimate that of this trial
 
     raises  InputError: times are in disorder, or a column is missing
     """
@@ -208,44 +208,44 @@ def _start_and_clock(
         [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in mapping.markers],
         axis=1,
     )
-    late_s, of_hand, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
+    offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
     if mapping.hand.columns is not None or mapping.hand.fixed_m is not None:
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
         zone_s = _zone_s(name, hand_s, t_s, findings)
         hand_s = hand_s + zone_s
         if shared_s is not None:
-            late_s = shared_s
+            offset_s = shared_s
         elif hand is not None:
-            late_s = _by_rows(name, capture, t_s, hand_s, findings)
-        if hand is not None and not late_s:
+            offset_s = _row_offset(name, capture, t_s, hand_s, findings)
+        if hand is not None and not offset_s:
             counts = _counts(mapping.time) and not _counts(mapping.hand.time or mapping.time)
             first_s = zero_s if counts else 0.0
-            seen_at = t_s, xy_m
-            late_s = _clock(files, (hand_s + first_s, hand_m), seen_at, mapping, findings)
+            observed = t_s, xy_m
+            offset_s = _clock(files, (hand_s + first_s, hand_m), observed, mapping, findings)
             if first_s:
-                late_s = round(first_s + late_s, 6)
+                offset_s = round(first_s + offset_s, 6)
                 sentence = f"{name}: column {mapping.time.column!r} counts frames: the first is "
                 sentence += "taken as time 0 of the gripper's file, unless said otherwise"
                 findings.guessed("clock_offset_s", sentence)
-        of_hand = hand_s + late_s, hand_m
-        late_s += zone_s
+        gripper = hand_s + offset_s, hand_m
+        offset_s += zone_s
     elif hand is not None:
         sentence = f"{name}: whether both clocks agree is not known before the gripper's path is"
         findings.guessed("clock_offset_s", sentence)
-    seen = np.isfinite(xy_m).any(axis=(1, 2))
-    begun = _start(name, (t_s[seen], xy_m[seen]), of_hand, length_m, findings)
-    return begun | ({"clock_offset_s": late_s} if late_s else {})
+    visible = np.isfinite(xy_m).any(axis=(1, 2))
+    entries = _start(name, (t_s[visible], xy_m[visible]), gripper, length_m, findings)
+    return entries | ({"clock_offset_s": offset_s} if offset_s else {})
 
 
-def _zone_s(name: str, hand_s: FloatArray, seen_s: FloatArray, findings: ImportFindings) -> float:
-    """Whole half hours by which the gripper's clock is in another zone, s; 0 = it is not.
+def _zone_s(name: str, hand_s: FloatArray, frame_s: FloatArray, findings: ImportFindings) -> float:
+    """Time-zone offset of the gripper's clock, in multiples of half an hour, s; 0 = none.
 
-    Clocks are taken so only if they have no time in common otherwise.
+    It is assumed only if the time spans do not overlap without it.
     """
-    both_s = 0.5 * float(np.ptp(hand_s) + np.ptp(seen_s))
-    apart_s = 0.5 * float(seen_s[0] + seen_s[-1] - hand_s[0] - hand_s[-1])
-    zone_s = _HALF_HOUR_S * round(apart_s / _HALF_HOUR_S)
-    if abs(apart_s) <= both_s or abs(apart_s - zone_s) > both_s or abs(zone_s) > _FARTHEST_S:
+    limit_s = 0.5 * float(np.ptp(hand_s) + np.ptp(frame_s))
+    gap_s = 0.5 * float(frame_s[0] + frame_s[-1] - hand_s[0] - hand_s[-1])
+    zone_s = _HALF_HOUR_S * round(gap_s / _HALF_HOUR_S)
+    if abs(gap_s) <= limit_s or abs(gap_s - zone_s) > limit_s or abs(zone_s) > _FARTHEST_S:
         return 0.0
     sentence = f"{name}: {zone_s:+g} s, {zone_s / 3600.0:+g} h, are added to the gripper's clock: "
     findings.guessed("clock_offset_s", f"{sentence}one of the files seems to be in local time")
@@ -261,61 +261,61 @@ def _gripper_path(
     capture: Capture, hand: Capture | None, mapping: Mapping, zero_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Times and places of the gripping point."""
-    section, of = mapping.hand, hand or capture
-    t_s = times_s(of, section.time or mapping.time) - zero_s
+    section, source = mapping.hand, hand or capture
+    t_s = times_s(source, section.time or mapping.time) - zero_s
     if section.columns is None:
         return t_s, np.broadcast_to(np.array(section.fixed_m, dtype=np.float64), (len(t_s), 2))
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
     axes = section.axes or mapping.axes
-    at_m = places_m(of, section.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
+    at_m = places_m(source, section.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
     known = np.isfinite(at_m).all(axis=1)
     return t_s[known], at_m[known]
 
 
-def _by_rows(
+def _row_offset(
     name: str, capture: Capture, t_s: FloatArray, hand_s: FloatArray, findings: ImportFindings
 ) -> float:
-    """Offset to a clock that counts frames, of which programs call the first 0 or 1, s; 0 = the
-    gripper's rows are none of the markers'."""
-    late_s = float(t_s[0] - hand_s[0])
+    """Offset to a clock that counts frames from 0 or 1, s; 0 = gripper and markers do not have the
+    same rows."""
+    offset_s = float(t_s[0] - hand_s[0])
     step_s = float(np.median(np.diff(t_s)))
-    together = len(t_s) == len(hand_s) and np.allclose(t_s - late_s, hand_s, atol=0.1 * step_s)
-    if capture.counted != "frame" or not together or not 0.0 < abs(late_s) < ROWS_OFF * step_s:
+    equal_rows = len(t_s) == len(hand_s) and np.allclose(t_s - offset_s, hand_s, atol=0.1 * step_s)
+    if capture.counted != "frame" or not equal_rows or not 0.0 < abs(offset_s) < ROWS_OFF * step_s:
         return 0.0
-    late_s = round(late_s, 6)
+    offset_s = round(offset_s, 6)
     findings.guessed(
         "clock_offset_s",
         f"{name}: gripper and markers have {len(t_s)} rows at one rate and are taken row by row: "
-        f"{late_s:+g} s are added to the gripper's clock",
+        f"{offset_s:+g} s are added to the gripper's clock",
     )
-    return late_s
+    return offset_s
 
 
 def _clock(
     files: Files,
     hand: tuple[FloatArray, FloatArray],
-    seen: tuple[FloatArray, FloatArray],
+    observed: tuple[FloatArray, FloatArray],
     mapping: Mapping,
     findings: ImportFindings,
 ) -> float:
-    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper tells one."""
+    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper shows it."""
     name, first = files.name, mapping.markers[0].arc_length_m
     length_m = mapping.cable.free_length_m
-    why, shift_s = "no marker is near the gripper", None
+    reason, shift_s = "no marker is near the gripper", None
     if first is not None and length_m is not None and first <= NEAR_HAND * length_m:
-        root_m = _root_m(seen[1], [m.arc_length_m for m in mapping.markers])
-        why, shift_s = "the gripper hardly moves", clock_shift_s(*hand, seen[0], root_m)
+        root_m = _root_m(observed[1], [m.arc_length_m for m in mapping.markers])
+        reason, shift_s = "the gripper hardly moves", clock_shift_s(*hand, observed[0], root_m)
     if shift_s is None:
-        sentence = f"{name}: {why}: whether both clocks agree is not known"
+        sentence = f"{name}: {reason}: whether both clocks agree is not known"
         findings.guessed("clock_offset_s", sentence)
         return 0.0
-    limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(seen[0]))))
+    limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(observed[0]))))
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
         findings.seen("clock_offset_s", sentence)
         return 0.0
     shift_s = round(shift_s, 4)
-    if files.in_one and hand[0][0] < seen[0][-1] and seen[0][0] < hand[0][-1]:
+    if files.in_one and hand[0][0] < observed[0][-1] and observed[0][0] < hand[0][-1]:
         sentence = f"{name}: gripper and markers are in one file, and so on one clock, though both "
         sentence += f"move at once if the gripper's is {shift_s:+g} s later; give clock_offset_s if"
         findings.guessed("clock_offset_s", f"{sentence} that is right")
@@ -326,7 +326,7 @@ def _clock(
 
 
 def _root_m(xy_m: FloatArray, arcs_m: Sequence[float | None]) -> FloatArray:
-    """(T, 2) the root by the innermost markers; the nearest marker where one is not seen."""
+    """(T, 2) cable root from the innermost markers; the nearest marker if these are not visible."""
     known = [float(a) for a in arcs_m[:INNERMOST] if a is not None]
     if len(known) < INNERMOST or np.any(np.diff(known) <= 0.0):
         return xy_m[:, 0]
@@ -336,16 +336,16 @@ def _root_m(xy_m: FloatArray, arcs_m: Sequence[float | None]) -> FloatArray:
 
 def _start(
     name: str,
-    seen: tuple[FloatArray, FloatArray],
+    observed: tuple[FloatArray, FloatArray],
     hand: tuple[FloatArray, FloatArray] | None,
     length_m: float,
     findings: ImportFindings,
 ) -> dict[str, Any]:
-    """At rest until the gripper moves, let go, or in motion from the first row on.
+    """Entry `start`: at rest until the gripper moves, released, or moving from the first row.
 
     hand  times and places of the gripper; None = its path is not known yet
     """
-    t_s, xy_m = seen
+    t_s, xy_m = observed
     rest = rest_rows(xy_m)
     if rest.stop < FEWEST_REST:
         sentence = f"{name}: the cable moves from the first row on: start moving"
@@ -355,11 +355,11 @@ def _start(
         sentence = f"{name}: the cable is at rest at first: start equilibrium"
         findings.guessed("trials.start", sentence)
         return {"start": "equilibrium"}
-    away = np.linalg.norm(hand[1] - hand[1][:1], axis=1) > _MOVES * length_m
-    moves_s = float(hand[0][np.argmax(away)]) if away.any() else np.inf
+    moved = np.linalg.norm(hand[1] - hand[1][:1], axis=1) > _MIN_MOTION * length_m
+    moves_s = float(hand[0][np.argmax(moved)]) if moved.any() else np.inf
     begins_s = float(t_s[rest.stop]) if rest.stop < len(t_s) else np.inf
-    late_s = 0.15 + float(np.sqrt(length_m / 9.81))  # as `cell.study.clocks` allows it
-    if begins_s == np.inf or moves_s <= begins_s + late_s:
+    delay_s = 0.15 + float(np.sqrt(length_m / 9.81))  # as `cell.study.clocks` allows it
+    if begins_s == np.inf or moves_s <= begins_s + delay_s:
         sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
         findings.seen("trials.start", sentence)
         return {"start": "equilibrium"}
@@ -368,56 +368,56 @@ def _start(
     return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}
 
 
-#: Shifts that are tried, and samples that each is tried on.
+#: Number of candidate shifts, and of samples for each.
 _SHIFTS, _SAMPLES = 1500, 600
-#: Both must be known at once for this share of the shorter one.
+#: Minimum overlap of both motions, as a fraction of the shorter one.
 _OVERLAP = 0.5
-#: A gripper that moves by less than this share of what the marker moves tells no shift.
-_MOVING = 0.1
+#: Minimum motion of the gripper, relative to the marker's, for estimating a shift.
+_MIN_RATIO = 0.1
 
 
 def clock_shift_s(
-    hand_s: FloatArray, hand_m: FloatArray, seen_s: FloatArray, seen_m: FloatArray
+    hand_s: FloatArray, hand_m: FloatArray, marker_s: FloatArray, marker_m: FloatArray
 ) -> float | None:
     """Offset of the gripper's clock by the motion of a marker near it, s; None = unknown.
 
-    hand_m  (T, 2) path of the gripping point
-    seen_m  (frames, 2) places of the marker nearest to it, nan = not seen
+    hand_m    (T, 2) path of the gripping point
+    marker_m  (frames, 2) positions of the marker nearest to it, nan = not visible
     """
-    good = np.isfinite(seen_m).all(axis=1)
-    seen_s, seen_m = seen_s[good], seen_m[good]
-    reach = [span_m(m) if len(m) > 3 else 0.0 for m in (hand_m, seen_m)]
-    if min(reach) == 0.0 or reach[0] < _MOVING * reach[1]:
+    visible = np.isfinite(marker_m).all(axis=1)
+    marker_s, marker_m = marker_s[visible], marker_m[visible]
+    spans = [span_m(m) if len(m) > 3 else 0.0 for m in (hand_m, marker_m)]
+    if min(spans) == 0.0 or spans[0] < _MIN_RATIO * spans[1]:
         return None
-    lasts_s = min(np.ptp(hand_s), np.ptp(seen_s))
-    low = seen_s[0] - hand_s[-1] + _OVERLAP * lasts_s
-    high = seen_s[-1] - hand_s[0] - _OVERLAP * lasts_s
-    some = np.unique(np.linspace(0, len(seen_s) - 1, _SAMPLES).astype(int))
-    at_s, at_m = seen_s[some], seen_m[some]
+    lasts_s = min(np.ptp(hand_s), np.ptp(marker_s))
+    low = marker_s[0] - hand_s[-1] + _OVERLAP * lasts_s
+    high = marker_s[-1] - hand_s[0] - _OVERLAP * lasts_s
+    sample = np.unique(np.linspace(0, len(marker_s) - 1, _SAMPLES).astype(int))
+    at_s, at_m = marker_s[sample], marker_m[sample]
 
-    def off(shifts_s: FloatArray) -> FloatArray:
+    def relative_variance(shifts_s: FloatArray) -> FloatArray:
         """Variance of marker minus gripper over the gripper's, while both are known; per shift."""
         then_s = at_s - shifts_s[:, None]
-        there = (then_s >= hand_s[0]) & (then_s <= hand_s[-1])
+        overlap = (then_s >= hand_s[0]) & (then_s <= hand_s[-1])
         path = np.stack([np.interp(then_s, hand_s, hand_m[:, k]) for k in range(2)], axis=-1)
-        shares = there / np.maximum(there.sum(axis=1, keepdims=True), 1)
+        shares = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), 1)
         ratio = _variance(at_m - path, shares) / (_variance(path, shares) + 2e-12)
-        return np.where(there.sum(axis=1) < 4, np.inf, ratio)
+        return np.where(overlap.sum(axis=1) < 4, np.inf, ratio)
 
-    tried = np.linspace(low, high, _SHIFTS)
-    values = off(tried)
+    candidates = np.linspace(low, high, _SHIFTS)
+    values = relative_variance(candidates)
     best = int(np.argmin(values))
     if not np.isfinite(values[best]) or values[best] > 0.5:
         return None
-    step = tried[1] - tried[0]
-    bounds = tried[best] - 2.0 * step, tried[best] + 2.0 * step
-    found = minimize_scalar(
-        lambda shift_s: off(np.array([shift_s]))[0],
+    step = candidates[1] - candidates[0]
+    bounds = candidates[best] - 2.0 * step, candidates[best] + 2.0 * step
+    minimum = minimize_scalar(
+        lambda shift_s: relative_variance(np.array([shift_s]))[0],
         bounds=bounds,
         method="bounded",
         options={"xatol": 1e-5},
     )
-    return float(found.x)
+    return float(minimum.x)
 
 
 def _variance(xy_m: FloatArray, shares: FloatArray) -> FloatArray:
