@@ -16,12 +16,12 @@ from cell.study.imports.long_tables import pivoted
 from cell.study.imports.text_rows import Row, without_summary
 from cell.study.imports.units import METRES, split_unit
 
-#: Rows of a sheet in which its table begins.
-_MOST_HEADER = 200
+#: Maximum number of rows above a sheet's table.
+_MAX_HEADER = 200
 
 
 def read_sheet(path: Path, title: str) -> Capture:
-    """A sheet; without a title the one whose table shows the most points, the first of such.
+    """Read a sheet; without a title the first one with the largest number of points.
 
     raises  InputError: it holds no table, or none does
     """
@@ -29,11 +29,11 @@ def read_sheet(path: Path, title: str) -> Capture:
     if title and title not in tables:
         raise InputError.at(path, f"has no sheet {title!r} with a table; correct its name")
     best = title or max(tables, key=lambda name: len(contents(tables[name]).points))
-    rest = ", ".join(repr(name) for name in tables if name != best)
-    note = f"{path}: sheet {best!r} is read, not {rest}"
+    skipped = ", ".join(repr(name) for name in tables if name != best)
+    note = f"{path}: sheet {best!r} is read, not {skipped}"
     if title:
         note = f"{path}: sheet {title!r} is read as a trial of its own, as are those like it"
-    notes = (*tables[best].notes, note) if rest else tables[best].notes
+    notes = (*tables[best].notes, note) if skipped else tables[best].notes
     return replace(tables[best], path=with_part(path, title), notes=notes)
 
 
@@ -47,15 +47,15 @@ def _sheets(path: Path) -> dict[str, Capture]:
     of_cable: tuple[tuple[str, float], ...] = ()
     try:
         for page in book.worksheets:
-            each = enumerate(page.iter_rows(values_only=True), 1)
-            rows = [Row(line, tuple(cell_text(cell) for cell in cells)) for line, cells in each]
-            of_cable = of_cable or _stated_length(rows[:_MOST_HEADER])
+            lines = enumerate(page.iter_rows(values_only=True), 1)
+            rows = [Row(line, tuple(cell_text(cell) for cell in cells)) for line, cells in lines]
+            of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
             try:
-                made = _table_ofread_sheet(path, [row for row in rows if not row.blank])
+                capture = _table_of(path, [row for row in rows if not row.blank])
             except InputError as error:
                 problems.append(error)
                 continue
-            tables |= {} if made is None else {page.title: made}
+            tables |= {} if capture is None else {page.title: capture}
     finally:
         book.close()
     if problems and not tables:
@@ -78,15 +78,15 @@ def _stated_length(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
 
 
 def trials_in_sheets(path: Path) -> list[FilePart]:
-    """Sheets that show points in the same columns; empty = no two do."""
+    """Sheets with points, if all have the same columns and there are several; else empty."""
     tables = {title: t for title, t in _sheets(path).items() if contents(t).points}
-    alike = len({t.names for t in tables.values()}) == 1 and len(tables) > 1
-    return [FilePart(title, title) for title in tables] if alike else []
+    equal_columns = len({t.names for t in tables.values()}) == 1 and len(tables) > 1
+    return [FilePart(title, title) for title in tables] if equal_columns else []
 
 
-def _table_ofread_sheet(path: Path, rows: Sequence[Row]) -> Capture | None:
-    """The table that begins in the first row with two numbers, and no more other words."""
-    first = next((i for i, row in enumerate(rows[:_MOST_HEADER]) if _begins_table(row)), None)
+def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
+    """Table from the first row with two numbers, and at least as many numbers as words."""
+    first = next((i for i, row in enumerate(rows[:_MAX_HEADER]) if _begins_table(row)), None)
     if first is None:
         return None
     width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
@@ -97,8 +97,8 @@ def _table_ofread_sheet(path: Path, rows: Sequence[Row]) -> Capture | None:
     table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
     table, below = without_summary(path, table, ".")
     header = read_header(path, above, table[0].cells)
-    made, labels = captured(path, header, table, ".")
-    return pivoted(replace(made, notes=(*made.notes, *below)), labels)
+    capture, labels = captured(path, header, table, ".")
+    return pivoted(replace(capture, notes=(*capture.notes, *below)), labels)
 
 
 def _begins_table(row: Row) -> bool:
@@ -106,7 +106,7 @@ def _begins_table(row: Row) -> bool:
 
 
 def cell_text(cell: object) -> str:
-    """A cell as text that `number` reads."""
+    """A cell as text for `number`."""
     if cell is None:
         return ""
     return str(int(cell)) if isinstance(cell, bool) else str(cell).strip()

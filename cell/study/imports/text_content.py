@@ -11,13 +11,13 @@ from cell.files.input_error import InputError
 from cell.files.text_file import read_bytes
 from cell.study.table import MAX_BYTES
 
-#: Fewest Chinese characters that tell GB 2312 from two accented letters of Windows-1252.
-_FEWEST_CHINESE = 4
-_OF_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
+#: Minimum Chinese characters of GB 2312; fewer may be accented letters of Windows-1252.
+_MIN_CHINESE = 4
+_CONTROL_BYTES = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
 def text_of(path: Path) -> tuple[str, list[str]]:
-    """Text of a file, and a note where it is in no Unicode.
+    """Text of a file, and a note if it is not Unicode.
 
     raises  InputError: it is no text, is missing or too large
     """
@@ -44,16 +44,16 @@ def _encodings(content: bytes) -> Iterator[str]:
         return
     yield "utf-8-sig"
     if b"\0" not in content:
-        yield from _of_windows(content)
+        yield from _windows_encodings(content)
 
 
-def _of_windows(content: bytes) -> list[str]:
-    """Encodings of a text that is no Unicode, the most likely first."""
+def _windows_encodings(content: bytes) -> list[str]:
+    """Encodings of a text that is not Unicode, the most likely first."""
     try:
         chinese = [c for c in content.decode("gb2312") if not c.isascii()]
     except UnicodeDecodeError:
         return ["cp1252"]
-    return ["gb18030", "cp1252"] if len(chinese) >= _FEWEST_CHINESE else ["cp1252"]
+    return ["gb18030", "cp1252"] if len(chinese) >= _MIN_CHINESE else ["cp1252"]
 
 
 def is_text(path: Path) -> bool:
@@ -64,4 +64,4 @@ def is_text(path: Path) -> bool:
         return False
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return True
-    return bool(content) and not _OF_TEXT.search(content)
+    return bool(content) and not _CONTROL_BYTES.search(content)

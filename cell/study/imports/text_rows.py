@@ -1,4 +1,4 @@
-"""Rows of cells of a text, without what programs write into a table that is none of its numbers."""
+"""Splits text into rows of cells, without remarks, repeated names, summaries and comments."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, Decimal, is_number
 from cell.study.imports.units import unit_of
 
-#: What begins a remark.
+#: Prefixes of a remark.
 REMARKS = ("#", "%", "//")
-#: Fewer rows are no table.
-_FEWEST_ROWS = 3
+#: Minimum number of rows of a table.
+_MIN_ROWS = 3
 #: A number with its unit in one cell.
 WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\W\d_]+|°)")
-#: When a serial monitor received a line, which stands before the line itself.
+#: Time of reception, which a serial monitor writes before a line.
 _RECEIVED = re.compile(r"^\[?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\]? ?(?:->|>|\t) ?")
-#: Lines of a text that begin so, at least.
-_MOST_RECEIVED = 0.9
-#: A table whose rows are series has so many times more columns than rows, at least.
-_LIES = 2
+#: Minimum fraction of a text's lines that begin so.
+_MIN_RECEIVED = 0.9
+#: Minimum ratio of columns to rows of a table whose rows are series.
+_MIN_ASPECT = 2
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ class Row:
 
     @property
     def blank(self) -> bool:
-        """Whether nothing stands there."""
+        """Whether all cells are empty."""
         return not any(cell.strip() for cell in self.cells)
 
     def is_data(self, decimal: Decimal) -> bool:
-        """Whether it holds a number, and at least as many numbers as other words."""
+        """Whether it holds a number, and at least as many numbers as words."""
         return is_data(self.cells, decimal)
 
 
 def split_line(line: str, separator: str) -> list[str]:
     """Cells of a line; none where it is no CSV."""
     if separator == " ":
-        found = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
-        return [cell.strip('"') for cell in found] if '"' in line else found
+        words = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
+        return [cell.strip('"') for cell in words] if '"' in line else words
     try:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
@@ -69,15 +69,15 @@ def split_lines(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
 
 
 def _between_blanks(lines: Sequence[str]) -> list[Row]:
-    """Rows of cells between blanks; names with single blanks stand between two at least."""
-    each = [split_line(line, " ") for line in lines]
-    usual = Counter(len(cells) for cells in each if cells).most_common(1)
-    width = usual[0][0] if usual else 0
+    """Rows of cells between blanks; names that hold single blanks are between two or more."""
+    rows = [split_line(line, " ") for line in lines]
+    most_common = Counter(len(cells) for cells in rows if cells).most_common(1)
+    width = most_common[0][0] if most_common else 0
     for i, line in enumerate(lines):
-        wide = re.split(r"\s{2,}|\t", line.strip()) if len(each[i]) > width else []
-        if len(wide) == width:
-            each[i] = wide
-    return [Row(i, tuple(cells)) for i, cells in enumerate(each, 1)]
+        words = re.split(r"\s{2,}|\t", line.strip()) if len(rows[i]) > width else []
+        if len(words) == width:
+            rows[i] = words
+    return [Row(i, tuple(cells)) for i, cells in enumerate(rows, 1)]
 
 
 def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
@@ -89,27 +89,27 @@ def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
 def _is_value(cell: str, decimal: Decimal) -> bool:
     if is_number(cell, decimal):
         return True
-    found = WITH_UNIT.fullmatch(cell.strip())
-    return found is not None and is_number(found[1], decimal) and bool(unit_of(found[2]))
+    match = WITH_UNIT.fullmatch(cell.strip())
+    return match is not None and is_number(match[1], decimal) and bool(unit_of(match[2]))
 
 
 def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
     """A serial monitor's text without the times of reception before its lines; and a note."""
     lines = text.splitlines()
     filled = [line for line in lines if line.strip()]
-    begun = sum(_RECEIVED.match(line) is not None for line in filled)
-    if not filled or begun < _MOST_RECEIVED * len(filled):
+    count = sum(_RECEIVED.match(line) is not None for line in filled)
+    if not filled or count < _MIN_RECEIVED * len(filled):
         return text, []
     note = f"{path}: the time at which a line was received stands before it; it is not read"
     return "\n".join(_RECEIVED.sub("", line) for line in lines), [note]
 
 
 def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row], list[str]]:
-    """Rows of a table whose lines are series, each behind its name, as columns; and a note."""
+    """Transpose a table whose lines are series, each after its name; and a note."""
     filled = [row for row in rows if not row.blank]
     widths = {len(row.cells) for row in filled}
-    lies = len(widths) == 1 and max(widths) >= _LIES * len(filled) > _LIES
-    named = lies and all(
+    wide = len(widths) == 1 and max(widths) >= _MIN_ASPECT * len(filled) > _MIN_ASPECT
+    named = wide and all(
         row.cells[0].strip() and not is_number(row.cells[0], decimal) for row in filled
     )
     if not named or not all(is_data(row.cells[1:], decimal) for row in filled):
@@ -122,33 +122,33 @@ def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row
 def without_repeats(
     path: Path, rows: Sequence[Row], decimal: Decimal
 ) -> tuple[list[Row], list[str]]:
-    """Rows without remarks within the table, and lines that stand above it too; and a note."""
+    """Rows without remarks and repeated header lines within the table; and a note."""
     data = [row.is_data(decimal) for row in rows]
     first = data.index(True) if True in data else len(rows)
     above = {row.cells for row in rows[:first] if not row.blank}
-    kept: list[Row] = []
-    again: list[int] = []
+    result: list[Row] = []
+    extra: list[int] = []
     for i, row in enumerate(rows):
-        within = i > first and not data[i] and not row.blank and not kept[-1].blank
+        within = i > first and not data[i] and not row.blank and not result[-1].blank
         if within and (row.cells in above or row.cells[0].lstrip().startswith(REMARKS)):
-            again.append(row.line)
+            extra.append(row.line)
         else:
-            kept.append(row)
-    if not again:
-        return kept, []
-    lines = ", ".join(map(str, again[:5])) + (" …" if len(again) > 5 else "")
-    note = f"{path}:{again[0]}: names of columns or remarks stand within the table, in line {lines}"
-    return kept, [f"{note}; they are left out"]
+            result.append(row)
+    if not extra:
+        return result, []
+    lines = ", ".join(map(str, extra[:5])) + (" …" if len(extra) > 5 else "")
+    note = f"{path}:{extra[0]}: names of columns or remarks stand within the table, in line {lines}"
+    return result, [f"{note}; they are left out"]
 
 
 def without_summary(
     path: Path, rows: Sequence[Row], decimal: Decimal
 ) -> tuple[list[Row], list[str]]:
-    """Rows of a table without what stands below its numbers: words, or means behind a word."""
+    """Rows of a table without the text and summaries below its numbers; and a note."""
     last = len(rows)
     while last > 1 and not goes_on(rows[last - 1], rows[0], decimal):
         last -= 1
-    if last == len(rows) or last < _FEWEST_ROWS:
+    if last == len(rows) or last < _MIN_ROWS:
         return list(rows), []
     note = f"{path}:{rows[last].line}: the table ends here, for no row of numbers follows"
     return list(rows[:last]), [f"{note}; the rest is not read"]
@@ -158,12 +158,12 @@ def title_of(rows: Sequence[Row], decimal: Decimal) -> str:
     """The last line above a table that is shorter than the table; empty = there is none."""
     width = max(len(row.cells) for row in rows)
     above = takewhile(lambda row: not row.is_data(decimal), rows)
-    named = [" ".join(found) for row in above if 0 < len(found := bare(row)) < width]
-    return named[-1] if named else ""
+    titles = [" ".join(words) for row in above if 0 < len(words := bare(row)) < width]
+    return titles[-1] if titles else ""
 
 
 def bare(row: Row) -> list[str]:
-    """Cells of a line without the mark of a remark."""
+    """Filled cells of a line, without the prefix of a remark."""
     words = [cell.strip().lstrip("#%").strip() for cell in row.cells]
     return [word for word in words if word]
 
@@ -171,45 +171,45 @@ def bare(row: Row) -> list[str]:
 def without_row_names(
     path: Path, above: Sequence[Row], table: Sequence[Row]
 ) -> tuple[list[Row], list[str]]:
-    """Rows without their numbers, for which the line of names has no cell; and a note.
+    """Rows without their row numbers, which have no column name; and a note.
 
     source  R, `write.table`: "no column name for a column of row names"
     """
     names = next((row.cells for row in reversed(above) if not row.blank), ())
     firsts = [row.cells[0].strip() for row in table]
-    short = len(names) == len(table[0].cells) - 1 > 1 and all(cell.strip() for cell in names)
-    whole = short and all(cell.isdecimal() for cell in firsts)
-    rise = whole and all(int(a) < int(b) for a, b in pairwise(firsts))
-    if not rise or any(is_number(cell, ".") for cell in names):
+    one_fewer = len(names) == len(table[0].cells) - 1 > 1 and all(cell.strip() for cell in names)
+    integral = one_fewer and all(cell.isdecimal() for cell in firsts)
+    rising = integral and all(int(a) < int(b) for a, b in pairwise(firsts))
+    if not rising or any(is_number(cell, ".") for cell in names):
         return list(table), []
     note = f"{path}:{table[0].line}: the first cell of each row is its number, and has no name: it"
     return [Row(row.line, row.cells[1:]) for row in table], [f"{note} is not read"]
 
 
 def is_like(row: Row, other: Row, decimal: Decimal) -> bool:
-    """Whether a row has a number, and numbers and words where another one has them, or nothing."""
+    """Whether a row has a number, and numbers, words or gaps in the same cells as `other`."""
     both = [(c, d) for c, d in zip(row.cells, other.cells, strict=False)
             if c.strip().lower() not in NOT_SEEN]  # fmt: skip
-    said = [is_number(c, decimal) for c, _ in both]
-    same = all(is_one == is_number(d, decimal) for is_one, (_, d) in zip(said, both, strict=True))
-    return any(said) and same and len(row.cells) == len(other.cells)
+    numeric = [is_number(c, decimal) for c, _ in both]
+    same = all(flag == is_number(d, decimal) for flag, (_, d) in zip(numeric, both, strict=True))
+    return any(numeric) and same and len(row.cells) == len(other.cells)
 
 
 def goes_on(row: Row, first: Row, decimal: Decimal) -> bool:
-    """Whether a row is one of numbers, with a number where the first row begins with one."""
-    begins = next((i for i, c in enumerate(first.cells) if c.strip()), 0)
-    cell = row.cells[begins].strip() if begins < len(row.cells) else ""
+    """Whether a row holds numbers, and begins with a number if the first row does."""
+    index = next((i for i, c in enumerate(first.cells) if c.strip()), 0)
+    cell = row.cells[index].strip() if index < len(row.cells) else ""
     word = not is_number(cell, decimal) and not re.search(r"\d", cell) and bool(cell)
-    return row.is_data(decimal) and not (word and is_number(first.cells[begins], decimal))
+    return row.is_data(decimal) and not (word and is_number(first.cells[index], decimal))
 
 
 def without_comments(
     path: Path, rows: Sequence[Row], decimal: Decimal
 ) -> tuple[list[Row], list[str]]:
-    """Rows without words behind the last column of numbers, which few lines have; and a note."""
+    """Rows without comments after the last column of numbers; and a note."""
     data = [row for row in rows if row.is_data(decimal)]
-    usual = Counter(len(row.cells) for row in data).most_common(1)
-    width = usual[0][0] if usual else 0
+    most_common = Counter(len(row.cells) for row in data).most_common(1)
+    width = most_common[0][0] if most_common else 0
     longer = [row for row in data if len(row.cells) > width]
     if width < 2 or not longer:
         return list(rows), []
