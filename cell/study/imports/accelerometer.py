@@ -1,8 +1,8 @@
-"""A gripper's place, integrated twice from its acceleration between two rests.
+"""Gripper position by double integration of its acceleration between two rests.
 
-The gripper's velocity is 0 at both rests.  Where noise is white and the sensor's offset constant,
-the likeliest acceleration is the measured one less its own mean over the motion: the zero-velocity
-update (ZUPT) of inertial navigation.
+The gripper's velocity is 0 at both rests.  For white noise and a constant offset of the sensor, the
+maximum-likelihood acceleration is the measured one minus its mean over the motion: the
+zero-velocity update (ZUPT) of inertial navigation.
 Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2013,
 ch. 15.3 (zero velocity updates).
 """
@@ -21,18 +21,18 @@ from cell.study.hand_drift import HandDrift
 
 #: A rest is at least so many rows and so many seconds.
 REST_ROWS, REST_S = 10, 0.05
-#: A gripper moves where the mean over so many seconds is so many standard deviations from its rest.
-_MEAN_S, _MOVES = 0.02, 7.0
-#: Of a motion, what is before its beginning is seen: always, and by limit over acceleration.
-_MARGIN, _LATE = 0.02, 0.3
-#: What a rest must not differ by, in standard deviations.
+#: Motion: the mean over so many seconds differs by so many standard deviations from that at rest.
+_MEAN_S, _MOTION_SIGMAS = 0.02, 7.0
+#: Margin before the detected start, shares of the motion: constant, and per limit/acceleration.
+_MARGIN, _MARGIN_PER_LIMIT = 0.02, 0.3
+#: Limit of a significant difference, standard deviations.
 SIGNIFICANT = 4.0
-#: Equal rows in a row, at the end of what a sensor shows, with a step to them of so many digits and
-#: of this share of what it shows.
-SATURATED_ROWS, _SATURATED_STEP, _STEEP = 4, 3.0, 1e-3
+#: Saturation: so many consecutive equal rows at an end of the range, after a step of so many digits
+#: and of this share of the range.
+SATURATED_ROWS, _SATURATED_STEP, _STEP_SHARE = 4, 3.0, 1e-3
 #: Samples of a motion may be so many usual steps apart.
-_GAP = 3.0
-#: Noise that is slower than a sample's is looked for in so many parts of a rest.
+_MAX_GAP = 3.0
+#: Low-frequency noise is estimated from the means of so many blocks of a rest.
 _BLOCKS = 10
 
 
@@ -50,8 +50,8 @@ class AccelerometerSamples:
 
     t_s             (T,)
     specific_force  (T, 2) along the sensor's right and up, m/s²; 0 where not measured
-    measured        which of both is measured
-    angle_rad       (T,) by which the sensor is turned
+    measured        whether each of the two is measured
+    angle_rad       (T,) rotation of the sensor
     gravity         (x, y) in the study's frame, m/s²
     """
 
@@ -63,7 +63,7 @@ class AccelerometerSamples:
 
     @property
     def step_s(self) -> float:
-        """The usual step of time."""
+        """Median sampling interval."""
         return float(np.median(np.diff(self.t_s)))
 
     @property
@@ -83,15 +83,14 @@ class AccelerometerSamples:
 
 @dataclass(frozen=True, eq=False)
 class Integrated:
-    """Path of a gripper from (0, 0) on: (T, 2), m, and what it may be wrong by; None = it
-    rested."""
+    """Path of a gripper from (0, 0): (T, 2), m, and its error model; None = it did not move."""
 
     path_m: FloatArray
     drift: HandDrift | None
 
 
 def turned_by(angle_rad: FloatArray, vectors: FloatArray) -> FloatArray:
-    """(T, 2) vectors turned by angles (T,) anticlockwise, as a clamp that comes to point down."""
+    """(T, 2) vectors rotated anticlockwise by angles (T,), as a clamp that turns downwards."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = vectors[:, 0], vectors[:, 1]
     return np.column_stack([c * x - s * y, s * x + c * y])
@@ -105,11 +104,11 @@ def integrated(
 ) -> Integrated:
     """The path of a gripper between two rests.
 
-    limit_m   error of the place that is allowed for each thing that is wrong with a sensor
-    ends_m    where the path ends, beside where it begins; None = that is not known
+    limit_m   largest position error allowed for each error source of a sensor
+    ends_m    end of the path relative to its start; None = unknown
     gain_std  standard deviation of the sensor's sensitivity
-    raises    NotIntegrableError: no rest before or after, a rest that differs from the other,
-              saturation, too few samples, an end that is missed by more than noise explains
+    raises    NotIntegrableError: no rest before or after, rests that differ, saturation, too few
+              samples, an end that differs by more than the noise explains
     """
     inner = sensed.accelerations()
     rows = _motion_rows(sensed, inner)
@@ -146,16 +145,16 @@ def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> tuple[int, 
     half = round(0.5 * _MEAN_S / step_s)
     mean = uniform_filter1d(inner, 2 * half + 1, axis=0, mode="nearest")
     mean[:half], mean[count - half :] = mean[half], mean[count - 1 - half]  # of as many rows each
-    white = 1.4826 * np.median(np.abs(np.diff(inner, 2, axis=0)), axis=0) / np.sqrt(6.0)
+    white_std = 1.4826 * np.median(np.abs(np.diff(inner, 2, axis=0)), axis=0) / np.sqrt(6.0)
     ends = mean[:rest], mean[-rest:]
     spread = np.minimum(*(np.std(part, axis=0) for part in ends))
-    limit = np.maximum(_MOVES * white / np.sqrt(2 * half + 1), 5.0 * spread)
+    limit = np.maximum(_MOTION_SIGMAS * white_std / np.sqrt(2 * half + 1), 5.0 * spread)
     limit = np.maximum(limit, 1.01 * sensed.digit) + 1e-6
-    away = [np.any(np.abs(mean - np.median(part, axis=0)) > limit, axis=1) for part in ends]
-    if not away[0].any() and not away[1].any():
+    exceeds = [np.any(np.abs(mean - np.median(part, axis=0)) > limit, axis=1) for part in ends]
+    if not exceeds[0].any() and not exceeds[1].any():
         return None
-    begin = int(np.argmax(away[0])) if away[0].any() else count
-    end = count - int(np.argmax(away[1][::-1])) if away[1].any() else 0
+    begin = int(np.argmax(exceeds[0])) if exceeds[0].any() else count
+    end = count - int(np.argmax(exceeds[1][::-1])) if exceeds[1].any() else 0
     if begin >= end:
         raise NotIntegrableError(
             min(begin, count - 1), "differs at rest between the record's begin and its end, with "
@@ -163,15 +162,15 @@ def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> tuple[int, 
         )  # fmt: skip
     largest = np.abs(mean[begin:end] - np.median(ends[0], axis=0)).max(axis=0, initial=0.0)
     share = float(np.min(limit / np.maximum(largest, limit)))
-    margin = 5 + int((_MARGIN + _LATE * share) * max(0, end - begin))
-    for row, kept, where in (
+    margin = 5 + int((_MARGIN + _MARGIN_PER_LIMIT * share) * max(0, end - begin))
+    for row, n_rest, where in (
         (begin, begin - margin, "before"),
         (end, count - end - margin, "after"),
     ):
-        if kept < rest:
+        if n_rest < rest:
             at = min(row, count - 1)
             raise NotIntegrableError(
-                at, f"the acceleration changes {max(kept, 0) * step_s:.2g} s from the end of the "
+                at, f"the acceleration changes {max(n_rest, 0) * step_s:.2g} s from the end of the "
                 f"record: there is no rest {where} the motion, limit {rest * step_s:.2g} s; record "
                 "the gripper at rest there, for only then its velocity is known"
             )  # fmt: skip
@@ -180,12 +179,12 @@ def _motion_rows(sensed: AccelerometerSamples, inner: FloatArray) -> tuple[int, 
 
 @dataclass(frozen=True, eq=False)
 class _SensedMotion:
-    """A motion between two rests, as a sensor shows it.
+    """A motion between two rests, as measured by a sensor.
 
     inner    (T, 2) acceleration in the sensor's axes, with its offset, m/s²
     begin    first row of the motion
     end      first row of the rest after it
-    limit_m  error of the place that is allowed for each thing that is wrong with a sensor
+    limit_m  largest position error allowed for each error source of a sensor
 
     All checks raise NotIntegrableError.
     """
@@ -209,7 +208,7 @@ class _SensedMotion:
     def noise(self) -> FloatArray:
         """(2,) one-sided density of the noise at rest along the sensor's axes, m/s²/√Hz.
 
-        Of means over tenths of both rests where these vary more than white noise makes them.
+        From means over tenths of both rests if they vary more than white noise explains.
         """
         variance, blocks, sizes = np.zeros(2), np.zeros(2), 0
         for part in self._rests:
@@ -248,7 +247,7 @@ class _SensedMotion:
         return np.asarray(velocity.antiderivative()(within_s) - 0.5 * since_s[:, None] ** 2 * mean)
 
     def check_saturation(self) -> None:
-        """Check that no axis rests at an end of its range while the gripper moves."""
+        """Check that no axis stays at an end of its range while the gripper moves."""
         for axis in range(2):
             values = self.sensed.specific_force[self.begin : self.end, axis]
             steps, span = np.abs(np.diff(values)), float(np.ptp(values))
@@ -260,7 +259,7 @@ class _SensedMotion:
                 longest = max(runs, key=len)
                 within = longest[0] > 0 and longest[-1] < len(values) - 1  # else it may be the rest
                 before = steps[longest[0] - 1] if within else 0.0
-                steep = before > max(_SATURATED_STEP * self.sensed.digit[axis], _STEEP * span)
+                steep = before > max(_SATURATED_STEP * self.sensed.digit[axis], _STEP_SHARE * span)
                 if len(longest) >= SATURATED_ROWS and steep:
                     raise NotIntegrableError(
                         self.begin + int(longest[0]),
@@ -273,11 +272,11 @@ class _SensedMotion:
         """Check that no samples of the motion are missing."""
         steps_s = np.diff(self.sensed.t_s[self.begin : self.end + 1])
         longest = int(np.argmax(steps_s))
-        if steps_s[longest] > _GAP * self.sensed.step_s:
+        if steps_s[longest] > _MAX_GAP * self.sensed.step_s:
             raise NotIntegrableError(
                 self.begin + longest + 1,
                 f"comes {steps_s[longest]:.3g} s after the sample before, limit "
-                f"{_GAP * self.sensed.step_s:.3g} s while the gripper moves; record it again "
+                f"{_MAX_GAP * self.sensed.step_s:.3g} s while the gripper moves; record it again "
                 "without gaps",
             )
 
@@ -315,32 +314,32 @@ class _SensedMotion:
             )
 
     def check_rate(self) -> None:
-        """Check that half of the samples make the same path."""
-        count, moved_s, apart_m = self.end - self.begin, self._moved_s, np.inf
+        """Check that every second sample gives the same path."""
+        count, moved_s, difference_m = self.end - self.begin, self._moved_s, np.inf
         if count >= 8:
-            apart_m = float(np.abs(self._path(2) - self.path_m).max())
+            difference_m = float(np.abs(self._path(2) - self.path_m).max())
         std_m = float(np.max(self.noise)) * np.sqrt(moved_s**3 / 24.0)
         allowed_m = max(self.limit_m, SIGNIFICANT * std_m)
-        if apart_m > allowed_m:
+        if difference_m > allowed_m:
             raise NotIntegrableError(
                 self.begin,
                 f"the motion of {moved_s:.2g} s has {count} samples, "
                 f"{1.0 / self.sensed.step_s:.4g} a second; the path from half of them differs by "
-                f"{apart_m * 1e3:.3g} mm, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
+                f"{difference_m * 1e3:.3g} mm, limit {allowed_m * 1e3:.2g} mm: take a higher rate",
             )
 
     def closed(self, drift: HandDrift, ends_m: FloatArray) -> FloatArray:
-        """The likeliest path that ends where it is known to.  Raises NotIntegrableError."""
+        """The maximum-likelihood path with the known end.  Raises NotIntegrableError."""
         last_m, moved_s = self.path_m[-1], self._moved_s
-        missed_m = ends_m - last_m
+        end_error_m = ends_m - last_m
         noise_m2 = np.array(drift.noise_m_per_s2_per_rt_hz) ** 2 * moved_s**3 / 24.0
         gain_m2 = (drift.gain_std * last_m) ** 2
         std_m = np.sqrt(noise_m2 + gain_m2)
-        worst = int(np.argmax(np.abs(missed_m) / np.maximum(std_m, 1e-12)))
-        if abs(missed_m[worst]) > SIGNIFICANT * std_m[worst] + 1e-9:
+        worst = int(np.argmax(np.abs(end_error_m) / np.maximum(std_m, 1e-12)))
+        if abs(end_error_m[worst]) > SIGNIFICANT * std_m[worst] + 1e-9:
             raise NotIntegrableError(
                 self.end,
-                f"the path ends {abs(missed_m[worst]) * 1e3:.3g} mm from hand_ends_at_m along "
+                f"the path ends {abs(end_error_m[worst]) * 1e3:.3g} mm from hand_ends_at_m along "
                 f"{'xy'[worst]}, limit {SIGNIFICANT * std_m[worst] * 1e3:.2g} mm by its noise"
                 f"{' and gain_std' if drift.gain_std else ''}; measure the end anew, or give "
                 "gain_std of the sensor",
@@ -349,5 +348,5 @@ class _SensedMotion:
         by_noise = 3.0 * share**2 - 2.0 * share**3
         ends = np.where(last_m == 0.0, 1.0, last_m)
         total = np.where(std_m > 0.0, std_m**2, 1.0)
-        closed = missed_m * (noise_m2 * by_noise + gain_m2 * self.path_m / ends) / total
+        closed = end_error_m * (noise_m2 * by_noise + gain_m2 * self.path_m / ends) / total
         return np.asarray(self.path_m + closed)

@@ -18,7 +18,7 @@ from cell.files.input_error import InputError, Problem, did_you_mean
 
 Decimal = Literal[".", ","]
 
-#: Words that programs write where nothing was seen.
+#: Words that programs write for a missing value.
 NOT_SEEN = frozenset(
     ("", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "-", "--", ".", "?", "missing", "lost")
 )
@@ -29,7 +29,7 @@ _NUMBER = {
 #: An error of a spreadsheet, in any of its languages, or of C: #N/A, #NV, #¡VALOR!, -1.#IND.
 _SHEET_ERROR = re.compile(r"#[¡¿]?[^\W\d_][\w/]*[!?]?|[-+]?1\.#[A-Z]+0*")
 _BLANKS = "'’\u00a0\u202f "
-#: Groups of thousands: certainly, for it has both marks, blanks or two groups; and perhaps.
+#: Thousands separators: certain (both marks, blanks or two groups), and possible.
 _GROUPED = {
     ".": re.compile(
         rf"[-+]?\d{{1,3}}(?:(?:,\d{{3}})+\.\d+|(?:,\d{{3}}){{2,}}|(?:[{_BLANKS}]\d{{3}})+(?:\.\d+)?)"
@@ -38,24 +38,24 @@ _GROUPED = {
         rf"[-+]?\d{{1,3}}(?:(?:\.\d{{3}})+,\d+|(?:\.\d{{3}}){{2,}}|(?:[{_BLANKS}]\d{{3}})+(?:,\d+)?)"
     ),
 }
-_PERHAPS_GROUPED = {
+_POSSIBLY_GROUPED = {
     ".": re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"),
     ",": re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+(?:,\d*)?"),
 }
 _MARKS = re.compile(rf"[.,{_BLANKS}]")
-#: Hours, minutes, seconds and perhaps the half of the day, of which milliseconds may stand behind a
-#: colon; or minutes and seconds, if these have a fraction.
+#: Hours, minutes, seconds and an optional AM or PM; milliseconds may follow a colon.  Or minutes
+#: and seconds, if these have a fraction.
 _CLOCK = re.compile(
     r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+|:\d{3})?)(?: ?([AP])M)?|(\d{1,2}):(\d{2}[.,]\d+)",
     re.IGNORECASE,
 )
 #: A date and a time, as ISO 8601, databases and controllers (`DTL#`) write them; no date alone.
-_MOMENT = re.compile(
+_ISO_DATETIME = re.compile(
     r"(?:[A-Z]{1,4}#)?(\d{4}-\d{2}-\d{2})[T _-](\d{2}:\d{2}:\d{2})(?:[.,](\d+))?"
     r" ?(Z|[-+]\d{2}(?::?\d{2})?)?"
 )
-#: The same as spreadsheets write it: day.month.year, or month/day/year.
-_DATED = re.compile(
+#: A date and a time as spreadsheets write them: day.month.year, or month/day/year.
+_SHEET_DATETIME = re.compile(
     r"(\d{1,2})([./])(\d{1,2})\2(\d{4}),? +"
     r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?(?: ?([AP])M)?",
     re.IGNORECASE,
@@ -63,13 +63,13 @@ _DATED = re.compile(
 
 
 def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
-    """The number in a cell; nan where nothing was seen, None where something else stands.
+    """The number in a cell; nan if the value is missing, None if the cell holds anything else.
 
-    A date with a time becomes seconds since 1970, in UTC where no zone stands behind it; a time of
-    day seconds since midnight.
+    A date with a time becomes seconds since 1970, in UTC without a time zone; a time of day becomes
+    seconds since midnight.
 
-    grouped  thousands are parted by the mark that is not the decimal one; else only a number that
-             cannot be read otherwise is such
+    grouped  the mark that is not the decimal one separates thousands; else only in a number that
+             cannot be read otherwise
     """
     text = cell.strip().replace("−", "-")
     if _NUMBER[decimal].fullmatch(text):
@@ -77,19 +77,19 @@ def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
         return value if math.isfinite(value) else None
     if text.lower() in NOT_SEEN or _SHEET_ERROR.fullmatch(text):
         return math.nan
-    if is_grouped(text, decimal) or (grouped and _PERHAPS_GROUPED[decimal].fullmatch(text)):
-        whole, mark, part = text.partition(decimal)
-        return float(_MARKS.sub("", whole) + ("." + part if mark else ""))
-    if found := _CLOCK.fullmatch(text):
-        hours, minutes, seconds = found.groups()[:3] if found[1] else ("0", found[5], found[6])
-        whole = re.sub("[,:]", ".", seconds)
-        return 3600.0 * _hour(hours, found[4]) + 60.0 * int(minutes) + float(whole)
-    return _moment_s(text) if _MOMENT.fullmatch(text) else _dated_s(text)
+    if is_grouped(text, decimal) or (grouped and _POSSIBLY_GROUPED[decimal].fullmatch(text)):
+        digits, mark, fraction = text.partition(decimal)
+        return float(_MARKS.sub("", digits) + ("." + fraction if mark else ""))
+    if match := _CLOCK.fullmatch(text):
+        hours, minutes, seconds = match.groups()[:3] if match[1] else ("0", match[5], match[6])
+        digits = re.sub("[,:]", ".", seconds)
+        return 3600.0 * _hour(hours, match[4]) + 60.0 * int(minutes) + float(digits)
+    return _iso_datetime_s(text) if _ISO_DATETIME.fullmatch(text) else _sheet_datetime_s(text)
 
 
-def _hour(hours: str, half: str | None) -> int:
-    """Of the day, where its half, A or P, may be given."""
-    return int(hours) % 12 + 12 * (half.upper() == "P") if half else int(hours)
+def _hour(hours: str, am_pm: str | None) -> int:
+    """Hour of the day, with AM (A), PM (P) or neither."""
+    return int(hours) % 12 + 12 * (am_pm.upper() == "P") if am_pm else int(hours)
 
 
 def is_grouped(text: str, decimal: Decimal) -> bool:
@@ -100,38 +100,38 @@ def is_grouped(text: str, decimal: Decimal) -> bool:
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day, or a date with one, by its form."""
     text = cell.strip()
-    return any(form.fullmatch(text) for form in (_CLOCK, _MOMENT, _DATED))
+    return any(form.fullmatch(text) for form in (_CLOCK, _ISO_DATETIME, _SHEET_DATETIME))
 
 
 def is_number(cell: str, decimal: Decimal) -> bool:
-    """Whether a cell holds a number, and not only a word for none."""
+    """Whether a cell holds a number, not a word for a missing value."""
     value = number(cell, decimal)
     return value is not None and value == value
 
 
-def _moment_s(text: str) -> float | None:
+def _iso_datetime_s(text: str) -> float | None:
     """Seconds since 1970 of a date and a time; None = there is no such day or time."""
-    day, time, part, zone = _MOMENT.fullmatch(text).groups()  # type: ignore[union-attr]
+    day, time, fraction, zone = _ISO_DATETIME.fullmatch(text).groups()  # type: ignore[union-attr]
     try:
-        whole = datetime.fromisoformat(f"{day}T{time}{zone or 'Z'}")
+        moment = datetime.fromisoformat(f"{day}T{time}{zone or 'Z'}")
     except ValueError:
         return None
-    return whole.timestamp() + float(f"0.{part or 0}")
+    return moment.timestamp() + float(f"0.{fraction or 0}")
 
 
-def _dated_s(text: str) -> float | None:
-    """Seconds since 1970 of a date and a time of a spreadsheet; None = it is none."""
-    found = _DATED.fullmatch(text)
-    if found is None:
+def _sheet_datetime_s(text: str) -> float | None:
+    """Seconds since 1970 of a date and a time of a spreadsheet; None = another form."""
+    match = _SHEET_DATETIME.fullmatch(text)
+    if match is None:
         return None
-    first, mark, second, year, hours, minutes, seconds, half = found.groups()
+    first, mark, second, year, hours, minutes, seconds, am_pm = match.groups()
     month, day = (second, first) if mark == "." or int(first) > 12 else (first, second)
     try:
-        hour = _hour(hours, half)
-        whole = datetime(int(year), int(month), int(day), hour, int(minutes), tzinfo=UTC)
+        hour = _hour(hours, am_pm)
+        moment = datetime(int(year), int(month), int(day), hour, int(minutes), tzinfo=UTC)
     except ValueError:
         return None
-    return whole.timestamp() + float((seconds or "0").replace(",", "."))
+    return moment.timestamp() + float((seconds or "0").replace(",", "."))
 
 
 class Sure(Enum):
@@ -142,9 +142,9 @@ class Sure(Enum):
     SEEN = "seen"
     """The data show it."""
     GUESSED = "guessed"
-    """It is usual, or only indicated: somebody must check it."""
+    """It is a default, or only indicated: the user must check it."""
     WANTED = "wanted"
-    """It cannot be known from the file: somebody must give it."""
+    """It cannot be determined from the file: the user must give it."""
 
 
 @dataclass(frozen=True)
@@ -161,26 +161,26 @@ class Finding:
 
 
 class ImportFindings(list[Finding]):
-    """What is found out as a mapping is proposed, in the order in which it is."""
+    """Findings about a proposed mapping, in the order of their detection."""
 
     def said(self, entry: str, sentence: str) -> None:
-        """Add what a file states about an entry."""
+        """Add a finding that a file states about an entry."""
         self.append(Finding(entry, sentence, Sure.SAID))
 
     def seen(self, entry: str, sentence: str) -> None:
-        """Add what the data show."""
+        """Add a finding that the data show."""
         self.append(Finding(entry, sentence, Sure.SEEN))
 
     def guessed(self, entry: str, sentence: str) -> None:
-        """Add what somebody must check."""
+        """Add a finding that the user must check."""
         self.append(Finding(entry, sentence, Sure.GUESSED))
 
     def wanted(self, entry: str, sentence: str) -> None:
-        """Add what somebody must give."""
+        """Add an entry that the user must give."""
         self.append(Finding(entry, sentence, Sure.WANTED))
 
 
-#: Stands for a column of time where a file has none.
+#: Name of the column of times of a file that has none.
 ROW_NUMBER = "row number"
 
 
@@ -188,7 +188,7 @@ ROW_NUMBER = "row number"
 class CapturedColumn:
     """Name of a column, and the unit that the file states for it; empty = none.
 
-    words  of a column of words: its numbers are places in these, from 0; empty = it has numbers
+    words  categories of a text column: its values are indices into them; empty = numeric column
     """
 
     name: str
@@ -209,13 +209,13 @@ class Capture:
     """One file, read.
 
     values   (rows, columns), nan = nothing there
-    lines    (rows,) where every row stands, counted from 1 in units of `counted`
+    lines    (rows,) position of each row in the file, counted from 1 in units of `counted`
     rate_hz  rows a second that the file states; None = it states none
     unit     of length that the file states for all its columns; empty = none
     pixel_m  length of a pixel, m, that the file states; None = it states none
     form     of a text; None = the file is no text
-    notes    what was left out on reading, one sentence each
-    of_cable  numbers that the file states of the cable, by their names in a study
+    notes    remarks on what was not read, one sentence each
+    of_cable  properties of the cable that the file states, by their names in a study
     """
 
     path: Path
@@ -236,7 +236,7 @@ class Capture:
         return tuple(c.name for c in self.columns)
 
     def column(self, name: str) -> FloatArray:
-        """(rows,) of a name; `row number` counts from 0 where no column is called so.
+        """(rows,) values of a column; `row number` counts from 0 if no column has that name.
 
         raises  InputError: there is no such column
         """
@@ -247,20 +247,20 @@ class Capture:
         return self.values[:, self.names.index(name)]
 
     def words(self, name: str) -> tuple[str, ...]:
-        """Those of a column of words; empty = the column has numbers, or is not there."""
+        """Categories of a text column; empty = the column is numeric or missing."""
         return next((c.words for c in self.columns if c.name == name), ())
 
     def at(self, names: tuple[str, ...] | list[str]) -> FloatArray:
-        """(rows, names) of several.  Raises InputError."""
+        """(rows, names) values of several columns.  Raises InputError."""
         return np.stack([self.column(name) for name in names], axis=1)
 
     def problem(self, row: int, message: str, key: str = "") -> Problem:
-        """A complaint about a row; where rows are no lines, the message says which it is."""
+        """A problem of a row; if rows are not lines, the message has the row's number."""
         place = int(self.lines[row]) if len(self.lines) else 1
         if self.counted == "line":
             return Problem(self.path, place, None, key, message)
         return Problem(self.path, 1, None, key, f"{self.counted} {place}: {message}")
 
     def error(self, row: int, message: str, key: str = "") -> InputError:
-        """The same, to be raised."""
+        """An InputError with the problem of a row."""
         return InputError([self.problem(row, message, key)])

@@ -1,4 +1,4 @@
-"""Text tables in which every channel has a column of times of its own."""
+"""Text tables in which every channel has its own column of times."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cell.study.imports.text_rows import split_line
 from cell.study.imports.units import split_unit, unit_of
 
 _SEPARATORS = ("\t", ";", ",")
-#: Lines in which the properties of channels stand.
+#: Header lines that are searched for the channels' properties.
 _MOST_HEADER = 60
 
 
 def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
-    """The table with one column of times and nan where a channel has no value; None = it is none.
+    """The table with one column of times and nan where a channel has no value; None = another form.
 
-    Above the table stand a property's name and its value in turns, once for each channel.
+    In the header lines a property's name and its value alternate, once per channel.
 
     source  Beckhoff TwinCAT 3 Scope, export as CSV
     """
@@ -31,7 +31,7 @@ def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
             names = set(cells[::2])
             if len(cells) > 3 and len(names) == 1 and (word := names.pop())[:1].isalpha():
                 stated[word], last = cells[1::2], i
-        properties = {split_unit(word)[0].lower(): (word, said) for word, said in stated.items()}
+        properties = {split_unit(word)[0].lower(): (word, texts) for word, texts in stated.items()}
         if "name" in properties:
             rows = [split_line(line, separator) for line in lines[last + 1 :]]
             return _joined(path, properties, rows, last + 2)
@@ -44,7 +44,7 @@ def _joined(
     rows: Sequence[Sequence[str]],
     first_line: int,
 ) -> Capture | None:
-    """Columns of all channels at the times of any."""
+    """Columns of all channels at the union of their times."""
     names = properties["name"][1]
     _, units = properties.get("unit", ("", [""] * len(names)))
     mark: Decimal = "," if any("," in cell for row in rows[:_MOST_HEADER] for cell in row) else "."
@@ -64,8 +64,8 @@ def _joined(
         return None
     unit = split_unit(properties.get("sampletime", ("", []))[0])[1]
     columns = [CapturedColumn("Time", unit)]
-    said = [unit_of(words.split()[0]) if words else "" for words in units]
-    columns += [CapturedColumn(n, u) for n, u in zip(names, said, strict=False)]
+    stated_units = [unit_of(words.split()[0]) if words else "" for words in units]
+    columns += [CapturedColumn(n, u) for n, u in zip(names, stated_units, strict=False)]
     return Capture(
         path,
         tuple(columns),

@@ -21,25 +21,24 @@ from cell.study.imports.shape import (
 )
 from cell.study.imports.units import METRES
 
-#: A point stays if it moves by less than this share of what the farthest moves.
+#: A point is stationary if it moves by less than this share of the largest motion.
 STAYS = 1e-3
-#: A point that is seen in less than this share of the rows that show a usual one is a false
-#: detection.
+#: A point detected in less than this share of the median count of rows is a false detection.
 _RARE = 0.15
-#: Values that programs write into all coordinates of what was not seen.
+#: Values that programs write into all coordinates of a point that was not detected.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
-#: First words of names that programs give to what nobody named.
+#: First words of the names that programs give to unlabelled points.
 _UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
-#: Share of the record in which a gripper rests and a cable still swings.
-_LATE = 0.3
+#: Final share of the record, in which the gripper rests and the cable still swings.
+_FINAL_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class Chosen:
     """Points of a cable from the gripper to the tip.
 
-    gripper    the gripping point, in the same file; None = it is in another one, or in none
-    second     another point of the gripper
+    gripper    the gripping point, in the same file; None = in another file, or not measured
+    second     a second point of the gripper
     """
 
     markers: tuple[Point, ...]
@@ -59,8 +58,8 @@ def choose(
     """The cable's points in order, and the gripper's.  Raises InputError: there are no points,
     or a single one and no gripper.
 
-    findings  those about it are added
-    others    files of the other trials, which may lose markers that this one does not
+    findings  extended by those about the points
+    others    files of the other trials, in which other markers may be missing
     """
     points = _same_dimension(capture, inside, findings)
     lost = _lost([capture, *others], points)
@@ -117,42 +116,42 @@ def choose(
     return Chosen(tuple(order), hand, second, lost)
 
 
-#: Chains of one cable are as long as each other to this share, and its pieces to this one.
-_SAME_SCALE, _SAME_PIECE, _FEWEST_STEPS = 0.05, 0.3, 3
-#: What is done with files that can be no trials of one mapping.
-_APART = "import each alone, with its own scale and the same arc_length_m and arc_length_std_m, "
-_APART += "then gather the studies: cell study A B -o both"
+#: Tolerances of one cable's chain length and of its pieces between trials, and fewest pieces.
+_LENGTH_RATIO, _PIECE_RATIO, _FEWEST_STEPS = 0.05, 0.3, 3
+#: Remedy for files that cannot be trials of one mapping.
+_SEPARATE = "import each alone, with its own scale and the same arc_length_m and arc_length_std_m, "
+_SEPARATE += "then gather the studies: cell study A B -o both"
 
 
 def check_scales(captures: Sequence[Capture], chosen: Chosen, findings: ImportFindings) -> None:
-    """Add trials whose chain is longer or shorter than the first one's, as of another scale.
+    """Add a finding for each trial whose chain differs in length from the first: another scale.
 
     raises  InputError: a file has other columns than the first, which the mapping names
     """
     points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
     first, steps = captures[0], list[FloatArray]()
     for capture in captures:
-        lacking = [c for p in points for c in p.columns if c not in capture.names]
-        if lacking:
-            known = did_you_mean(lacking[0], capture.names)
-            message = f"has no column {lacking[0]!r} as {first.path.name} has{known}; if it is of "
-            raise capture.error(0, f"{message}another program: {_APART}")
+        missing = [c for p in points for c in p.columns if c not in capture.names]
+        if missing:
+            hint = did_you_mean(missing[0], capture.names)
+            message = f"has no column {missing[0]!r} as {first.path.name} has{hint}; if it is of "
+            raise capture.error(0, f"{message}another program: {_SEPARATE}")
         raw = np.stack([detected_places(capture, p.columns, chosen.lost) for p in points], axis=1)
         steps.append(middle(np.linalg.norm(np.diff(raw, axis=1), axis=2)))
         if len(steps[0]) < _FEWEST_STEPS:
             continue
         length, of_first = float(steps[-1].sum()), float(steps[0].sum())
         piece = float(np.max(np.abs(steps[-1] / steps[0] - 1.0), initial=0.0))
-        other = abs(length / of_first - 1.0) > _SAME_SCALE or piece > _SAME_PIECE
-        if other:
+        scale_differs = abs(length / of_first - 1.0) > _LENGTH_RATIO or piece > _PIECE_RATIO
+        if scale_differs:
             sentence = f"{capture.path.name}: its markers span {length:.4g}, those of "
             sentence += f"{first.path.name} {of_first:.4g}; their pieces differ by up to "
-            sentence += f"{piece:.0%}: if their scales differ, {_APART}"
+            sentence += f"{piece:.0%}: if their scales differ, {_SEPARATE}"
             findings.guessed("metres_per_unit", sentence)
 
 
 def _check_several(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
-    """Raise InputError where a file shows one point alone: none is left for the gripper."""
+    """Raise InputError if a file has a single point: there is none for the gripper."""
     if len(cable) > 1:
         return
     message = "shows one point and no gripper: give a file of the gripper with --hand, or call "
@@ -164,7 +163,7 @@ def _check_several(capture: Capture, cable: Sequence[Point], others: Sequence[Ca
 
 
 def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
-    """Points that somebody named; all, if nobody named any."""
+    """Labelled points; all points if none is labelled."""
     named = [p for p in cable if p.name.split()[0] not in _UNLABELED]
     for p in cable if named else ():
         if p not in named:
@@ -174,7 +173,7 @@ def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
 
 
 def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
-    """Raise InputError where two points have the same places in all rows: they are one."""
+    """Raise InputError if two points have equal positions in all rows: they are one marker."""
     for i, first in enumerate(points):
         for second in points[i + 1 :]:
             if first.on_gripper and second.on_gripper:
@@ -192,17 +191,17 @@ def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, Fl
 def detected_places(
     capture: Capture, columns: Sequence[str], lost: Sequence[float], of_hand: bool = False
 ) -> FloatArray:
-    """(rows, 2 or 3) positions of a point in the file's unit and axes; nan where not seen."""
+    """(rows, 2 or 3) positions of a point in the file's unit and axes; nan where not detected."""
     raw = capture.at(list(columns)).copy()
     raw[lost_rows(raw, lost, of_hand)] = np.nan
     return raw
 
 
 def _same_dimension(capture: Capture, inside: Contents, findings: ImportFindings) -> list[Point]:
-    """Points with as many coordinates as most have.  Raises InputError: there are none.
+    """Points with the most frequent number of coordinates.  Raises InputError: there are none.
 
-    Three numbers of a gripper among points of a plane are its place and perhaps its angle, if the
-    first two are next to these points.
+    Three columns of a gripper among planar points are its position and perhaps its angle, if the
+    first two are close to these points.
     """
     if not inside.points:
         message = "names no points: no two columns are the x and y of one; name them as tip_x and "
@@ -224,7 +223,7 @@ def _same_dimension(capture: Capture, inside: Contents, findings: ImportFindings
 
 
 def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, ...]:
-    """Values that stand in all coordinates of a point in some rows, and are none of its places."""
+    """Codes of a missing point: in some rows all its coordinates have this value."""
     places = [
         capture.at(list(point.columns))
         for capture in captures
@@ -237,21 +236,21 @@ def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, 
 def _moving(
     cable: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
 ) -> tuple[list[Point], Point | None]:
-    """Points that move, and the one that stays if it alone does and may be held."""
-    shown = {p.name: int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in cable}
-    usual = float(np.median(list(shown.values()))) if cable else 0.0
+    """Moving points, and the stationary one if there is exactly one: it may be the clamp."""
+    counts = {p.name: int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in cable}
+    median_count = float(np.median(list(counts.values()))) if cable else 0.0
     for p in cable:
-        if 0 < shown[p.name] < _RARE * usual:
-            sentence = f"{p.name!r} is seen in {shown[p.name]} of {len(raw[p.name])} rows, other "
-            findings.guessed("markers", f"{sentence}points in {usual:g}: it is left out")
-    cable = [p for p in cable if not 0 < shown[p.name] < _RARE * usual]
+        if 0 < counts[p.name] < _RARE * median_count:
+            sentence = f"{p.name!r} is seen in {counts[p.name]} of {len(raw[p.name])} rows, other "
+            findings.guessed("markers", f"{sentence}points in {median_count:g}: it is left out")
+    cable = [p for p in cable if not 0 < counts[p.name] < _RARE * median_count]
     reach = {p.name: reach_of(raw[p.name]) for p in cable}
-    most = max(reach.values(), default=0.0)
-    stay = [p for p in cable if reach[p.name] <= STAYS * most or not np.isfinite(reach[p.name])]
-    held = stay[0] if len(stay) == 1 and np.isfinite(reach[stay[0].name]) else None
-    for p in stay if held is None else ():
+    largest = max(reach.values(), default=0.0)
+    fixed = [p for p in cable if reach[p.name] <= STAYS * largest or not np.isfinite(reach[p.name])]
+    clamp = fixed[0] if len(fixed) == 1 and np.isfinite(reach[fixed[0].name]) else None
+    for p in fixed if clamp is None else ():
         findings.seen("markers", f"{p.name!r} never moves or is never seen: it is left out")
-    return [p for p in cable if p not in stay], held
+    return [p for p in cable if p not in fixed], clamp
 
 
 def _gripper_points(
@@ -260,50 +259,49 @@ def _gripper_points(
     raw: dict[str, FloatArray],
     inside: Contents,
 ) -> tuple[Point | None, Point | None]:
-    """The gripper's point nearest to the cable, and another one if its angle is not told
-    otherwise."""
+    """The gripper's point nearest to the cable, and a second one if no angle is measured."""
     if not named:
         return None, None
     groups = {group for group, _ in inside.quaternions} | {m.group for _, m in inside.angles}
     with_angle = [p for p in named if p.name in groups]
 
-    def apart(p: Point) -> float:
-        away = middle(
+    def distance(p: Point) -> float:
+        distances = middle(
             np.stack([np.linalg.norm(raw[p.name] - raw[c.name], axis=1) for c in cable], 1)
         )
-        return float(np.min(away, initial=np.inf, where=np.isfinite(away)))
+        return float(np.min(distances, initial=np.inf, where=np.isfinite(distances)))
 
-    hand = min(with_angle or named, key=apart)
+    hand = min(with_angle or named, key=distance)
     others = [p for p in named if p is not hand]
     return hand, others[0] if others and not with_angle else None
 
 
 def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
-    """Points in the order in which a cable passes through them at rest, from the end that rests
-    first: there the gripper is."""
+    """Points in their order along the cable at rest, from the end that comes to rest first: the
+    gripper's."""
     places = _typical(cable, raw)
     orders = [chain(places, start) for start in range(len(cable))]
     order = min(
         orders, key=lambda o: float(np.linalg.norm(np.diff(places[o], axis=0), axis=1).sum())
     )
-    late = slice(int((1.0 - _LATE) * len(raw[cable[0].name])), None)
+    late = slice(int((1.0 - _FINAL_SHARE) * len(raw[cable[0].name])), None)
     first, last = (reach_of(raw[cable[i].name][late]) for i in (order[0], order[-1]))
     return [cable[i] for i in (order if not first > last else order[::-1])]
 
 
-#: Points of one body keep their distance to this share of the length that they are part of.
+#: Distances within a rigid body change by less than this share of the complete length.
 _ONE_BODY = 0.01
-#: … and to this share of what the distance of a cable's point changes.
+#: … and by less than this share of the largest change of distance of a cable's point.
 _OF_CABLE = 0.4
-#: A chain is as long as the cable to this share of its length.
-_AS_LONG = 0.03
+#: Tolerance of a chain's length, relative to the cable's free length.
+_LENGTH_TOL = 0.03
 
 
-def _changes(first: FloatArray, second: FloatArray) -> float:
-    """By how much the distance of two points (rows, d) changes, but for a few rows."""
-    away = np.linalg.norm(first - second, axis=1)
-    away = away[np.isfinite(away)]
-    return float(np.subtract(*np.percentile(away, (98, 2)))) if len(away) > 1 else np.inf
+def _distance_range(first: FloatArray, second: FloatArray) -> float:
+    """Range of the distance of two points (rows, d), without 2 % of the rows at either end."""
+    distances = np.linalg.norm(first - second, axis=1)
+    distances = distances[np.isfinite(distances)]
+    return float(np.subtract(*np.percentile(distances, (98, 2)))) if len(distances) > 1 else np.inf
 
 
 def _in_front(
@@ -312,13 +310,13 @@ def _in_front(
     raw: dict[str, FloatArray],
     findings: ImportFindings,
 ) -> list[Point]:
-    """Points but those that move with the gripper as one body, behind it.
+    """Points without those that move with the gripper as one rigid body, behind it.
 
-    The cable's next marker keeps its distance too, but is where the others are.
+    The cable's first marker keeps its distance too, but lies on the side of the others.
     """
     places = _typical([*named, *cable], raw)
     size = float(np.ptp(places, axis=0).max())
-    change = {p.name: max(_changes(raw[h.name], raw[p.name]) for h in named) for p in cable}
+    change = {p.name: max(_distance_range(raw[h.name], raw[p.name]) for h in named) for p in cable}
     most = min(_ONE_BODY * size, _OF_CABLE * max(c for c in [0.0, *change.values()] if c < np.inf))
     rigid = [p for p in cable if change[p.name] < most]
     loose = [i for i, p in enumerate(cable, len(named)) if p not in rigid]
@@ -337,48 +335,48 @@ def _in_front(
 def _behind_jaws(
     order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
 ) -> int:
-    """How many points of a chain are on the gripper, behind the point that holds the cable.
+    """Number of points of a chain that are on the gripper, behind the gripping point.
 
-    From this one to the tip the chain is as long as the cable, where with them it is not.
+    From the gripping point to the tip the chain is as long as the cable; with them it is longer.
     """
     steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
-    left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
-    if free_length_m is None or not np.isfinite(left).all():
+    spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    if free_length_m is None or not np.isfinite(spans).all():
         return 0
     units = [METRES[p.unit] for p in order if p.unit in METRES][:1] or list(METRES.values())
     for behind in range(len(order) - 2):
-        if any(abs(left[behind] * u - free_length_m) < _AS_LONG * free_length_m for u in units):
+        if any(abs(spans[behind] * u - free_length_m) < _LENGTH_TOL * free_length_m for u in units):
             body = order[: behind + 1]
-            whole = left[behind]
-            change = [_changes(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
-            return behind if max(change, default=0.0) < _ONE_BODY * whole else 0
+            length = spans[behind]
+            change = [_distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
+            return behind if max(change, default=0.0) < _ONE_BODY * length else 0
     return 0
 
 
 def _on_jaws(
     order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
 ) -> int:
-    """How many points of a chain are on a gripper that has a file of its own.
+    """Number of points of a chain that are on a gripper with its own file.
 
-    With them the chain is longer than the cable, without them it is not, and they are one body.
+    With them the chain is longer than the cable, without them it is not; they are one rigid body.
     """
     unit = METRES.get(order[0].unit)
     if free_length_m is None or unit is None:
         return 0
     steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
-    left = np.append(np.cumsum(steps[::-1])[::-1], 0.0) * unit
-    most_m = (1.0 + _AS_LONG) * free_length_m
-    count = int(np.argmax(left <= most_m))
+    spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0) * unit
+    most_m = (1.0 + _LENGTH_TOL) * free_length_m
+    count = int(np.argmax(spans <= most_m))
     body = order[:count]
-    change = [_changes(raw[p.name], raw[body[-1].name]) * unit for p in body[:-1]]
+    change = [_distance_range(raw[p.name], raw[body[-1].name]) * unit for p in body[:-1]]
     return count if max(change, default=0.0) < _ONE_BODY * free_length_m else 0
 
 
 def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
-    """(points, d) at rest, else a row in the middle that shows them all."""
+    """(points, d) positions at rest, else in the middle row of those with all points."""
     places = np.stack([raw[p.name] for p in points], axis=1)
     rest = places[rest_rows(places)]
     if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all():
         return middle(rest)
-    whole = places[np.isfinite(places).all(axis=(1, 2))]
-    return whole[len(whole) // 2] if len(whole) else middle(places)
+    complete = places[np.isfinite(places).all(axis=(1, 2))]
+    return complete[len(complete) // 2] if len(complete) else middle(places)

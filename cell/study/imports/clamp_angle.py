@@ -15,29 +15,29 @@ from cell.study.imports.places import angle_of, body_axis, clamp_angle_rad, cont
 from cell.study.imports.units import RADIANS
 from cell.study.series import wrapped
 
-#: An angle that turns by more tells its sign by how the cable's root turns with it, rad.
-_TURNS = 0.05
-#: What makes another reading of a column less likely, in radians of disagreement: a negative sign,
-#: a quarter turn, a unit that is not stated.
-_SIGN, _QUARTER, _UNIT = 0.02, 0.3, 0.05
-#: The cable's root and a right reading agree at rest within this, rad; else an offset is needed.
+#: Rotation above which the cable's root determines the sign of an angle, rad.
+_MIN_ROTATION = 0.05
+#: Penalties of less usual interpretations of a column, rad: a negative sign, a quarter turn, a unit
+#: that is not stated.
+_SIGN_COST, _QUARTER_COST, _UNIT_COST = 0.02, 0.3, 0.05
+#: Largest difference at rest between the root and a correct angle, rad; else an offset is needed.
 _AGREES = 0.35
-#: A body whose turn differs from that of the cable's root by more than the first share of it is not
-#: read rightly; by less than the second it is.
-_NO_TURN, _SAME_TURN = 0.8, 0.4
-#: So near at rest an angle that nothing names is that of the clamp, rad.
+#: Relative difference between the rotations of body and root: above the first the quaternion's
+#: order is wrong, below the second it is correct.
+_WRONG_ORDER, _RIGHT_ORDER = 0.8, 0.4
+#: An unnamed angle is the clamp's if it is within this of the root at rest, rad.
 _SAME_AT_REST = 0.1
-#: The same of a root that only the line to a single marker shows: a cable droops.
+#: As _AGREES, for a root estimated by the line to a single marker, from which a cable droops.
 _DROOPS = 1.0
 
 
 @dataclass(frozen=True)
 class Root:
-    """The clamp angle that the cable shows at its root.
+    """Estimate of the clamp angle by the direction of the cable at its root.
 
-    angle_rad  (rows,) of the markers' file, rough while it moves
+    angle_rad  (rows,) of the markers' file, approximate during motion
     rest_rad   at rest
-    is_line    it is that of the line to the only marker, from which a drooping cable departs
+    is_line    estimated by the line to the only marker, from which a drooping cable departs
     others     of the other trials: the file with the gripper, and `rest_rad`
     """
 
@@ -48,18 +48,18 @@ class Root:
 
     @property
     def agrees_rad(self) -> float:
-        """The root and a right reading agree at rest within this."""
+        """Largest difference at rest between the root and a correct angle."""
         return _DROOPS if self.is_line else _AGREES
 
 
 @dataclass(frozen=True)
-class _PoseReader:
-    """What a column of angles may mean.
+class _Reading:
+    """One interpretation of a column of angles.
 
-    is_measured  the cable shows the sign, by turning with the column, within a trial or between two
-    quarters     of a turn that are added
-    rest_rad     of the column at rest, in its sign
-    off_rad      by which the reading and the cable's root differ at rest, mean over the trials
+    is_measured  the cable's rotation determines the sign, within a trial or between two
+    quarters     number of quarter turns added
+    rest_rad     angle of the column at rest, with its own sign
+    off_rad      difference from the cable's root at rest, mean over the trials
     """
 
     unit: str
@@ -71,9 +71,9 @@ class _PoseReader:
 
     @property
     def cost(self) -> float:
-        """How unlikely it is."""
-        unusual = _SIGN * (self.sign < 0.0) + _QUARTER * (self.quarters != 0)
-        return self.off_rad + unusual + _UNIT * (self.unit == "deg")
+        """Difference from the root plus penalties, rad; the least is chosen."""
+        unusual = _SIGN_COST * (self.sign < 0.0) + _QUARTER_COST * (self.quarters != 0)
+        return self.off_rad + unusual + _UNIT_COST * (self.unit == "deg")
 
 
 def clamp_angle(
@@ -87,21 +87,21 @@ def clamp_angle(
 ) -> AngleSection:
     """The mapping's section of the clamp angle.
 
-    capture   with the gripper
-    findings  those about it are added
-    hand      name of the gripping point, by which its columns are known; empty = it has none
-    second    another point of the gripper, and the angle of the line to it at rest; None = none
+    capture   file of the gripper
+    findings  extended by those about the angle
+    hand      name of the gripping point, which identifies its columns; empty = it has none
+    second    a second point of the gripper, and the angle of the line to it at rest; None = none
     """
     four = next((q for group, q in inside.quaternions if group == hand), None)
     if four is None and len(inside.quaternions) == 1:
         four = inside.quaternions[0][1]
     if four is not None and _is_filler(capture.at(list(four)), hand):
         four = None
-    if four is not None and len(axes.up) == len("xyz"):  # one of three angles is not all of it
+    if four is not None and len(axes.up) == len("xyz"):  # one angle is no 3D orientation
         return _of_body(capture, four, axes, root, findings)
     if (column := _column(inside, axes, hand)) is not None:
         return _of_column(capture, *column, root, findings)
-    if (column := _agreeing(capture, inside, root)) is not None:
+    if (column := _column_like_root(capture, inside, root)) is not None:
         section = _of_column(capture, *column, root, findings)
         sentence = f"{column[0]!r} is the clamp angle, for it agrees with the cable's root"
         findings.guessed("hand.angle", sentence)
@@ -122,8 +122,7 @@ def clamp_angle(
 
 
 def _is_filler(quaternion: FloatArray, hand: str) -> bool:
-    """Whether a point that is named after no gripper has no turn in all rows: so programs fill the
-    poses of points."""
+    """Whether a point not named after a gripper has no rotation in any row: programs fill it in."""
     known = quaternion[np.isfinite(quaternion).all(axis=1)]
     return not HAND.intersection(hand.split()) and bool(np.all(known == [0.0, 0.0, 0.0, 1.0]))
 
@@ -137,12 +136,12 @@ def _of_line(
     if abs(abs(offset) - np.pi) < _AGREES:
         offset = float(np.pi)
     sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
-    findings.guessed("hand.angle", sentence + _turned_by(offset))
+    findings.guessed("hand.angle", sentence + _offset_clause(offset))
     return AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
 
 
-def _turned_by(offset_rad: float) -> str:
-    """The end of a sentence about an offset, if there is one."""
+def _offset_clause(offset_rad: float) -> str:
+    """End of a sentence about an offset; empty without one."""
     degrees = np.degrees(offset_rad)
     return f", turned by {degrees:.0f}° as the cable shows at rest" if offset_rad else ""
 
@@ -158,85 +157,85 @@ def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] |
         normal = np.abs(np.cross(axes.right, axes.up))
         letter = "xyz"[int(np.argmax(normal))]
         chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
-    name, said = chosen[0]
-    return name, said.unit
+    name, meaning = chosen[0]
+    return name, meaning.unit
 
 
-def _agreeing(capture: Capture, inside: Contents, root: Root) -> tuple[str, str] | None:
-    """A column of angles that is of no marker and agrees with the cable's root; None = none."""
+def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[str, str] | None:
+    """A column of angles of no marker that agrees with the cable's root; None = there is none."""
     points = {point.name for point in inside.points if not point.on_gripper}
-    for name, said in inside.angles:
-        if said.group in points or said.axis:
+    for name, meaning in inside.angles:
+        if meaning.group in points or meaning.axis:
             continue
-        best = min(_readings(capture.column(name), name, said.unit, root), key=lambda r: r.cost)
+        best = min(_readings(capture.column(name), name, meaning.unit, root), key=lambda r: r.cost)
         if best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
-            return name, said.unit
+            return name, meaning.unit
     return None
 
 
 def _of_column(
     capture: Capture, name: str, unit: str, root: Root, findings: ImportFindings
 ) -> AngleSection:
-    """Unit, sign and zero of a column of angles, by what the cable's root shows."""
+    """Section of a column of angles; unit, sign and zero are estimated from the cable's root."""
     values = capture.column(name)
     best = min(_readings(values, name, unit, root), key=lambda reading: reading.cost)
-    word, s, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
-    is_off = best.off_rad > root.agrees_rad
-    every = [values, *_of_others(name, root)]
-    matters = max(float(np.nanmax(np.abs(v))) for v in every) * RADIANS[word] > 1e-3
-    which = "positive = down" if s > 0 else "positive = up, turned round"
+    word, sign, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
+    needs_offset = best.off_rad > root.agrees_rad
+    all_values = [values, *_in_other_trials(name, root)]
+    is_nonzero = max(float(np.nanmax(np.abs(v))) for v in all_values) * RADIANS[word] > 1e-3
+    which = "positive = down" if sign > 0 else "positive = up, turned round"
     why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
-    if not matters:
+    if not is_nonzero:
         why = f"it is 0 throughout {capture.path.name}"
-    if best.quarters and not is_off:
+    if best.quarters and not needs_offset:
         which += f", turned by {90 * best.quarters}°"
-    told = findings.seen if best.is_measured or not matters else findings.guessed
+    report = findings.seen if best.is_measured or not is_nonzero else findings.guessed
     stated = ", as the file says" if unit in RADIANS else ""
-    told("hand.angle", f"the clamp angle is column {name!r} in {word}{stated}; {which}: {why}")
-    if is_off:
-        offset = float(round(wrapped(root.rest_rad - s * best.rest_rad), 4))
+    report("hand.angle", f"the clamp angle is column {name!r} in {word}{stated}; {which}: {why}")
+    if needs_offset:
+        offset = float(round(wrapped(root.rest_rad - sign * best.rest_rad), 4))
         findings.guessed(
             "hand.angle.offset_rad",
             f"{name!r} is {np.degrees(best.off_rad):.0f}° from what the cable shows at rest: an "
             "offset is added",
         )
-    factor = round(s * RADIANS[word], 12)
+    factor = round(sign * RADIANS[word], 12)
     return AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
 
 
-def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_PoseReader]:
-    """All that a column of angles may mean in all trials, the usual ones first."""
-    found = []
-    every = [values, *_of_others(name, root)]
+def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_Reading]:
+    """All interpretations of a column of angles over all trials, the usual ones first."""
+    readings = []
+    all_values = [values, *_in_other_trials(name, root)]
     roots_rad = np.array([root.rest_rad, *(shown for c, shown in root.others if name in c.names)])
-    largest = max(float(np.nanmax(np.abs(v))) for v in every)
+    largest = max(float(np.nanmax(np.abs(v))) for v in all_values)
     for word in [unit] if unit in RADIANS else ["rad", "deg"]:
         if word == "rad" and unit not in RADIANS and largest > 2.0 * np.pi:
             continue
-        turned = [continuous(v * RADIANS[word]) for v in every]
+        turned = [continuous(v * RADIANS[word]) for v in all_values]
         rests_rad = np.array([np.nanmedian(v[: max(1, len(v) // 20)]) for v in turned])
-        seen = _sign(turned[0], root.angle_rad) or _sign(rests_rad, np.unwrap(roots_rad))
-        for sign in (1.0, -1.0) if seen == 0.0 else (seen,):
+        root_sign = _sign(turned[0], root.angle_rad) or _sign(rests_rad, np.unwrap(roots_rad))
+        for sign in (1.0, -1.0) if root_sign == 0.0 else (root_sign,):
             for quarters in (0, -1, 1, 2):
                 apart_rad = sign * rests_rad + quarters * np.pi / 2.0 - roots_rad
                 off_rad = float(np.mean([abs(wrapped(a)) for a in apart_rad]))
                 rest_rad = float(rests_rad[0])
-                found.append(_PoseReader(word, sign, seen != 0.0, quarters, rest_rad, off_rad))
-    return found
+                readings.append(_Reading(word, sign, root_sign != 0.0, quarters, rest_rad, off_rad))
+    return readings
 
 
-def _of_others(name: str, root: Root) -> list[FloatArray]:
-    """Values of a column in the other trials' files that have it and are known there."""
+def _in_other_trials(name: str, root: Root) -> list[FloatArray]:
+    """Values of a column in those files of the other trials that have it."""
     return [c.column(name) for c, _ in root.others if name in c.names]
 
 
 def _sign(values: FloatArray, shown_rad: FloatArray) -> float:
-    """Whether the cable's root turns with a column of angles or against it; 0 = it hardly turns."""
+    """Sign of the correlation of a column of angles with the cable's root; 0 = undetermined."""
     if len(values) != len(shown_rad):
         return 0.0
     good = np.isfinite(values) & np.isfinite(shown_rad)
     turned, shown = values[good], shown_rad[good]
-    if len(turned) < 2 or min(np.ptp(turned), np.ptp(shown)) < _TURNS:
+    if len(turned) < 2 or min(np.ptp(turned), np.ptp(shown)) < _MIN_ROTATION:
         return 0.0
     turned = turned - turned.mean()
     slope = float(turned @ (shown - shown.mean()))
@@ -247,20 +246,20 @@ def _sign(values: FloatArray, shown_rad: FloatArray) -> float:
 def _of_body(
     capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
 ) -> AngleSection:
-    """The axis of a body that is nearest to the direction in which the cable leaves it.
+    """Section of the body's axis nearest to the direction in which the cable leaves the body.
 
-    Of four numbers w may be the first: so it is if only then the body turns as the cable's root.
+    w may be the first of the four columns: it is if only then the body rotates as the cable's root.
     """
     section = _along_axis(capture, four, axes, root)
-    other = _along_axis(capture, [*four[1:], four[0]], axes, root)
-    turns, as_other = (
-        _turn(clamp_angle_rad(capture, each, axes), root) for each in (section, other)
+    w_first_section = _along_axis(capture, [*four[1:], four[0]], axes, root)
+    mismatch, w_first_mismatch = (
+        _mismatch(clamp_angle_rad(capture, each, axes), root) for each in (section, w_first_section)
     )
-    w_first = turns > _NO_TURN and as_other < _SAME_TURN
-    section = other if w_first else section
+    w_first = mismatch > _WRONG_ORDER and w_first_mismatch < _RIGHT_ORDER
+    section = w_first_section if w_first else section
     assert section.quaternion is not None
     sentence = f"the gripper turns as {section.quaternion[0]!r} … say; the cable leaves along its "
-    sentence += f"axis {section.body_axis}{_turned_by(section.offset_rad)}"
+    sentence += f"axis {section.body_axis}{_offset_clause(section.offset_rad)}"
     findings.guessed("hand.angle", sentence)
     if w_first:
         sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
@@ -268,12 +267,12 @@ def _of_body(
     return section
 
 
-def _turn(turned: FloatArray | None, root: Root) -> float:
-    """By which share a body's turn differs from that of the cable's root; 0 = nothing shows it."""
+def _mismatch(turned: FloatArray | None, root: Root) -> float:
+    """Relative difference between the rotations of a body and the cable's root; 0 = unknown."""
     if turned is None or len(turned) != len(root.angle_rad):
         return 0.0
     good = np.isfinite(turned) & np.isfinite(root.angle_rad)
-    if not good.any() or np.ptp(root.angle_rad[good]) < _TURNS:
+    if not good.any() or np.ptp(root.angle_rad[good]) < _MIN_ROTATION:
         return 0.0
     x, y = (v[good] - v[good].mean() for v in (root.angle_rad, turned))
     return float(np.linalg.norm(y - x) / np.linalg.norm(x))
@@ -289,7 +288,7 @@ def _along_axis(
     rows = quaternion[np.isfinite(quaternion).all(axis=1)][:1]
     along = {n: float(body_axis(rows, n)[0] @ leaving) if len(rows) else 0.0 for n in BODY_AXES}
     best = max(BODY_AXES, key=lambda n: along[n])
-    seen = body_axis(rows, best)[0] if len(rows) else leaving
-    offset = wrapped(root.rest_rad - angle_of(np.array([seen @ right, seen @ up])))
+    direction = body_axis(rows, best)[0] if len(rows) else leaving
+    offset = wrapped(root.rest_rad - angle_of(np.array([direction @ right, direction @ up])))
     offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
     return AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
