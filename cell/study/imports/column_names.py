@@ -12,7 +12,7 @@ from cell.study.imports.units import RADIANS, SECONDS, split_unit
 
 
 class ColumnKind(Enum):
-    """What a column holds."""
+    """Kind of quantity in a column."""
 
     TIME = "time"
     FRAME = "frame"
@@ -30,7 +30,7 @@ class Meaning:
 
     group  name of the point or body, in small letters; empty = none
     axis   x, y, z of a coordinate or of the axis of an angle, and w of a quaternion; empty = none
-    unit   that is stated; empty = none
+    unit   stated unit; empty = none
     """
 
     kind: ColumnKind
@@ -46,7 +46,7 @@ _TIME = frozenset(
      "timestamps", "stamps", "ts", "tm", "epoch",
      *_TIME_WITH_UNIT)
 )  # fmt: skip
-#: In longer names `t` is no time, but a transform.
+#: In names of more words `t` is a transform, not a time.
 _NEAR_T = 2
 #: LabVIEW's column of times, seconds.
 _X_VALUE = "x_value"
@@ -60,7 +60,7 @@ _ANGLE = frozenset(
      "inclination", "inclinacion", "inclinaison", "inclinazione",
      "φ", "θ", "α")
 )  # fmt: skip
-#: Quantities that are no place.
+#: Words of quantities that are not a position.
 _OTHER = frozenset(
     ("velocity", "speed", "vel", "force", "torque", "moment", "residual",
      "residuals", "error", "likelihood", "confidence", "quality", "probability", "visible",
@@ -69,15 +69,15 @@ _OTHER = frozenset(
 #: Of a force or moment.
 _WRENCH = re.compile(r"force|torque|moment|[fmt][xyz]?|kraft")
 _OF_WRENCH = frozenset(("n", "nm", "n·m", "n*m", "n m", "mn", "mnm"))
-#: Words that say what kind of number a coordinate is, not of which point.
+#: Words that describe a coordinate, but do not identify its point.
 _FILLER = frozenset(
     ("pos", "position", "positions", "xy", "xyz", "tracks", "coord", "coordinate", "coordinates",
      "trans", "translation", "location", "values",
      "place", "value", "data", "in", "col", "koordinate", "pose", "point", "markers", "transform",
      "transforms", "xpos")
 )  # fmt: skip
-#: Words with their axis grown onto them.
-_GROWN = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
+#: Words with their axis as a suffix.
+_AXIS_SUFFIX = re.compile(r"(pos|p|t|coord|q|quat|rot|r)([xyzw])")
 #: Of the six numbers of a robot's pose.
 _POSE = re.compile(r"(.*pose)[\s_\[]*([0-5])\]?", re.IGNORECASE)
 _VELOCITY = re.compile(r"(v|vel|f|w|omega)[xyz]")
@@ -101,7 +101,7 @@ def is_of_wrench(name: str) -> bool:
 
 
 def meaning(column: CapturedColumn) -> Meaning:
-    """What a column's name, and the unit stated beside it, say."""
+    """Meaning of a column by its name and its stated unit."""
     bare, within = split_unit(column.name)
     unit = column.unit or within
     if pose := _POSE.fullmatch(bare):  # of UR: metres, and a rotation vector
@@ -113,22 +113,22 @@ def meaning(column: CapturedColumn) -> Meaning:
         return Meaning(ColumnKind.TIME, "", "", unit or "s")
     words = _words(bare)
     unit = unit or next((_TIME_WITH_UNIT[w] for w in words if w in _TIME_WITH_UNIT), "")
-    if (found := _acceleration(words, unit)) is not None:
-        return found
+    if (acceleration := _acceleration(words, unit)) is not None:
+        return acceleration
     axis, rest = "", list[str]()
     rotation = False
     for word in words:
-        grown = _GROWN.fullmatch(word)
+        suffixed = _AXIS_SUFFIX.fullmatch(word)
         if word in ("x", "y", "z", "w") and not axis:
             axis = word
-        elif word == "q0" and not axis:  # beside qx, qy and qz; else nothing comes of it
+        elif word == "q0" and not axis:  # with qx, qy and qz; else it has no effect
             axis, rest = "w", [*rest, "quat"]
-        elif word == axis:  # several lines of names say it
+        elif word == axis:  # several lines of names repeat it
             continue
-        elif grown and not axis:
-            axis = grown[2]
-            rest += {"q": ["quat"], "quat": ["quat"]}.get(grown[1], [])
-            rotation = rotation or grown[1] in ("r", "rot")
+        elif suffixed and not axis:
+            axis = suffixed[2]
+            rest += {"q": ["quat"], "quat": ["quat"]}.get(suffixed[1], [])
+            rotation = rotation or suffixed[1] in ("r", "rot")
         else:
             rest.append(word)
     kind = _kind(rest, axis, unit, rotation)
@@ -143,7 +143,7 @@ def meaning(column: CapturedColumn) -> Meaning:
 _AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
 _NUMBER_AT_END = re.compile(r"(.*\w)(?:_|\[)([0-3])\]?")
 #: Kinds of columns whose numbers may be those of an array, if nothing else names their axes.
-_UNNUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
+_MAYBE_NUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 _QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
 _NUMBERED_AXES = {
     frozenset(str(first + k) for k in range(count)): {
@@ -152,26 +152,26 @@ _NUMBERED_AXES = {
     for first in (0, 1)
     for count in (2, 3)
 }
-#: Quantities with an axis that are no place, beside those above.
+#: All quantities with an axis that are not a position.
 _NO_PLACE = _OTHER | _ACCELERATION | frozenset(("gyro", "mag", "imu", "omega", "err", "res", "ma"))
 
 
-def with_axes_at_ends(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
-    """The columns, with coordinates whose names have their axis grown on: `gripx, gripy`.
+def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
+    """The columns, with coordinates whose axis is a suffix of their name: `gripx, gripy`.
 
-    It is an axis if the file has x and y, or x, y and z, behind one word.  If no column is a
-    coordinate otherwise, those of a point may be numbered: `m1_1, m1_2, m1_3`, `m1[0], m1[1]`.
+    A suffix is an axis if the file has x and y, or x, y and z, after one stem.  If there are no
+    other coordinates, those of a point may be numbered: `m1_1, m1_2, m1_3`, `m1[0], m1[1]`.
     """
-    said = _with_pixels(said)
+    meanings = _with_pixels(meanings)
     forms = [_AXIS_AT_END]
-    if not any(m.kind is ColumnKind.COORDINATE for _, m in said):
+    if not any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
         forms.append(_NUMBER_AT_END)
-    found = dict(said)
+    result = dict(meanings)
     for form in forms:
         stems: dict[str, dict[str, str]] = {}
-        for name, m in said:
+        for name, m in meanings:
             match = form.fullmatch(split_unit(name)[0])
-            kinds = (ColumnKind.OTHER,) if form is _AXIS_AT_END else _UNNUMBERED
+            kinds = (ColumnKind.OTHER,) if form is _AXIS_AT_END else _MAYBE_NUMBERED
             if match and m.kind in kinds and not m.axis:
                 stems.setdefault(match[1], {})[match[2].lower()] = name
         for stem, names in stems.items():
@@ -180,10 +180,10 @@ def with_axes_at_ends(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meanin
                 group = " ".join(w for w in words if w not in _FILLER | _ANGLE | _QUATERNION)
                 for place, name in names.items():
                     axis = "xyzw"[int(place)]
-                    found[name] = Meaning(ColumnKind.QUATERNION, group, axis, "")
+                    result[name] = Meaning(ColumnKind.QUATERNION, group, axis, "")
                 continue
             axes = _NUMBERED_AXES.get(frozenset(names), {})
-            if axes and any(found[n].kind is not ColumnKind.OTHER for n in names.values()):
+            if axes and any(result[n].kind is not ColumnKind.OTHER for n in names.values()):
                 continue
             names = {axes.get(end, end): name for end, name in names.items()}
             if set(names) not in ({"x", "y"}, {"x", "y", "z"}) or _NO_PLACE & set(words):
@@ -192,30 +192,30 @@ def with_axes_at_ends(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meanin
                 continue
             group = " ".join(w for w in words if w not in _FILLER)
             for axis, name in names.items():
-                found[name] = Meaning(ColumnKind.COORDINATE, group, axis, found[name].unit)
-    return [(name, found[name]) for name, _ in said]
+                result[name] = Meaning(ColumnKind.COORDINATE, group, axis, result[name].unit)
+    return [(name, result[name]) for name, _ in meanings]
 
 
 #: Columns and rows of an image.
 _OF_IMAGE = re.compile(r"(.*[^_\s.:])?[_\s.:]?([uv])", re.IGNORECASE)
 
 
-def _with_pixels(said: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
-    """The columns, with `d1_u, d1_v` as coordinates in an image, where no others are there."""
-    if any(m.kind is ColumnKind.COORDINATE for _, m in said):
-        return said
+def _with_pixels(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
+    """The columns, with `d1_u, d1_v` as image coordinates, if there are no other coordinates."""
+    if any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
+        return meanings
     stems: dict[str, dict[str, str]] = {}
-    for name, _ in said:
+    for name, _ in meanings:
         if match := _OF_IMAGE.fullmatch(split_unit(name)[0]):
             stems.setdefault(match[1] or "", {})[match[2].lower()] = name
-    found = dict(said)
+    result = dict(meanings)
     for stem, names in stems.items():
         if set(names) == {"u", "v"}:
             group = " ".join(w for w in _words(stem) if w not in _FILLER)
             for end, name in names.items():
-                unit = found[name].unit or "px"
-                found[name] = Meaning(ColumnKind.COORDINATE, group, "xy"["uv".index(end)], unit)
-    return [(name, found[name]) for name, _ in said]
+                unit = result[name].unit or "px"
+                result[name] = Meaning(ColumnKind.COORDINATE, group, "xy"["uv".index(end)], unit)
+    return [(name, result[name]) for name, _ in meanings]
 
 
 def _is_quaternion(words: list[str]) -> bool:
@@ -243,7 +243,7 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
 
 
-#: Last words of a column that says how sure a program is of a place, and from what value on it is.
+#: Last words of columns of detection confidence, and their thresholds.
 _SURE_FROM = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
               "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
 
@@ -260,36 +260,36 @@ def confidence(column: CapturedColumn) -> tuple[str, float] | None:
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:
-    """What is named after an acceleration, or has its unit; g is one of these only here."""
+    """Meaning of a column with the name or unit of an acceleration; only here g is a unit."""
     along = [_ACCELERATION_ALONG.fullmatch(w) for w in words]
     if not (_ACCELERATION & set(words) or any(along) or unit in _OF_ACCELERATION):
         return None
     if words[-1:] == ["g"]:
         words, along, unit = words[:-1], along[:-1], unit or "g"
-    axis = next((found[1] for found in along if found), "")
+    axis = next((match[1] for match in along if match), "")
     axis = axis or next((w for w in words if w in ("x", "y", "z")), "")
     rest = [
-        w for w, found in zip(words, along, strict=True) if not found and w not in _ACCELERATION
+        w for w, match in zip(words, along, strict=True) if not match and w not in _ACCELERATION
     ]
     return Meaning(ColumnKind.ACCELERATION, " ".join(w for w in rest if w != axis), axis, unit)
 
 
 def _words(name: str) -> list[str]:
-    """Words of a name in small letters: at blanks, signs, changes of case, and an axis at a number.
+    """Lower-case words of a name, split at blanks, signs, changes of case, and axis next to number.
 
     `tipX`, `tip_x`, `X tip`, `TIP:X` are tip and x; `x0`, `x₀` and `M1X` are x and 0, m1 and x.
     """
-    found: list[str] = []
+    words: list[str] = []
     for piece in re.split(r"[^\w]+|_", unicodedata.normalize("NFKC", name)):
         for word in re.sub(r"(?<=[a-zäöü0-9])(?=[A-Z])", " ", piece).split():
             small = word.lower()
-            if small.endswith("winkel") and small != "winkel":  # German grows its words together
-                found += [small.removesuffix("winkel"), "winkel"]
+            if small.endswith("winkel") and small != "winkel":  # German joins its words
+                words += [small.removesuffix("winkel"), "winkel"]
                 continue
             if (match := re.fullmatch(r"([xyz])(\d+)", small)) or (
                 match := re.fullmatch(r"(.*\d)([xyz])", small)
             ):
-                found += [match[1], match[2]]
+                words += [match[1], match[2]]
             else:
-                found.append(small)
-    return found
+                words.append(small)
+    return words

@@ -48,7 +48,7 @@ Units = dict[tuple[str, ...], str]
 _OF_PANDAS = re.compile(r"values_block_\d+")
 _RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
 _UNIT = re.compile(r"(length_?)?units?")
-#: Fewest numbers that are rows of a trial.
+#: Minimum number of rows of a trial.
 _FEWEST_ROWS = 3
 
 
@@ -60,14 +60,14 @@ def read_container(path: Path) -> Capture:
     """
     file, part = split_part(path)
     if file.suffix.lower() == ".xlsx":
-        return _guarded(file, lambda f: read_sheet(f, part))
-    tree, units = _guarded(file, _tree)
+        return _read_checked(file, lambda f: read_sheet(f, part))
+    tree, units = _read_checked(file, _tree)
     if part:
-        made = _of_part(path, part, tree, units)
-        told = f"{path}: a stream of its own, by its topic, its clock or events around a trial"
+        capture = _of_part(path, part, tree, units)
+        note = f"{path}: a stream of its own, by its topic, its clock or events around a trial"
         in_streams = _TREES.get(file.suffix.lower()) is streams_tree
-        return replace(made, notes=(*made.notes, told)) if in_streams else made
-    return _guarded(file, lambda f: capture_of(f, tree, units))
+        return replace(capture, notes=(*capture.notes, note)) if in_streams else capture
+    return _read_checked(file, lambda f: capture_of(f, tree, units))
 
 
 def _tree(path: Path) -> tuple[Tree, Units]:
@@ -77,27 +77,27 @@ def _tree(path: Path) -> tuple[Tree, Units]:
 def parts_of(path: Path) -> list[FilePart]:
     """Trials that are parts of a file of arrays; empty = the file is one, or a part itself.
 
-    raises  InputError: it cannot be read, or its groups cannot be told apart
+    raises  InputError: it cannot be read, or its groups are ambiguous
     """
     file, part = split_part(path)
     if file.suffix.lower() == ".xlsx" and not part:
-        return _guarded(file, trials_in_sheets)
+        return _read_checked(file, trials_in_sheets)
     if part or not (file.suffix.lower() in _TREES or is_line_protocol(file)):
         return []
-    tree, units = _guarded(file, _tree)
+    tree, units = _read_checked(file, _tree)
 
     def shows_points(group: tuple[str, ...]) -> bool:
         try:
-            made = _of_part(path, WITHIN.join(group), tree, units)
+            capture = _of_part(path, WITHIN.join(group), tree, units)
         except InputError:
             return False
-        return bool(contents(made).points)
+        return bool(contents(capture).points)
 
-    found = trials_in(tree, shows_points)
-    if found == []:  # markers and gripper may stand beside each other, each with its times
-        found = trials_in(apart_by_length(tree), shows_points)
-        found = found if found and all(trial.gripper for trial in found) else []
-    return found or []
+    trials = trials_in(tree, shows_points)
+    if trials == []:  # markers and gripper may be in one group, each with its times
+        trials = trials_in(apart_by_length(tree), shows_points)
+        trials = trials if trials and all(trial.gripper for trial in trials) else []
+    return trials or []
 
 
 def _of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
@@ -107,11 +107,11 @@ def _of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
         tree = apart_by_length(tree)
         group = group_of(tree, part)
     if group is None:
-        there = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
-        raise InputError.at(path, f"has no part {part!r} with times; it has {there}")
-    kept = within(tree, group)
-    of_key = {key: found for key in kept for found in units_at(units, group, key)}
-    return capture_of(path, kept, of_key)
+        available = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
+        raise InputError.at(path, f"has no part {part!r} with times; it has {available}")
+    arrays = within(tree, group)
+    of_key = {key: unit for key in arrays for unit in units_at(units, group, key)}
+    return capture_of(path, arrays, of_key)
 
 
 def units_at(units: Units, group: tuple[str, ...], key: tuple[str, ...]) -> list[str]:
@@ -120,8 +120,8 @@ def units_at(units: Units, group: tuple[str, ...], key: tuple[str, ...]) -> list
     return [units[name] for name in names if name in units][:1]
 
 
-def _guarded(path: Path, read: Callable[[Path], _Read]) -> _Read:
-    """What is read of a file.  Raises InputError: whatever its reader raises."""
+def _read_checked(path: Path, read: Callable[[Path], _Read]) -> _Read:
+    """Result of a reader.  Raises InputError: for every error of the reader."""
     if not path.is_file():
         raise InputError.at(path, "cannot be read: there is no such file; check the name")
     try:
@@ -132,7 +132,7 @@ def _guarded(path: Path, read: Callable[[Path], _Read]) -> _Read:
         raise InputError.at(path, message) from error
     except InputError:
         raise
-    except Exception as error:  # of a damaged file its reader raises what it likes
+    except Exception as error:  # a reader may raise anything for a damaged file
         message = f"is damaged, or is no {path.suffix.lower()} file ({error}); save it again"
         raise InputError.at(path, message) from error
 
@@ -140,8 +140,8 @@ def _guarded(path: Path, read: Callable[[Path], _Read]) -> _Read:
 def _mat(path: Path) -> tuple[Tree, Units]:
     """MATLAB's file; from version 7.3 on it is HDF5 with its dimensions reversed."""
     with path.open("rb") as stream:
-        newest = b"MATLAB 7.3" in stream.read(128)
-    if newest:
+        is_hdf5 = b"MATLAB 7.3" in stream.read(128)
+    if is_hdf5:
         return _hdf5_tree(path, reverse=True)
     from scipy.io import loadmat
 
@@ -175,7 +175,7 @@ def _of_arrow(table: Any) -> Tree:
 
 
 def _series(values: Sequence[object]) -> NDArray[Any]:
-    """Numbers where all are; else words."""
+    """Numbers if all values are; else words."""
     if all(v is None or isinstance(v, bool | int | float | datetime) for v in values):
         seconds = [v.timestamp() if isinstance(v, datetime) else v for v in values]
         return np.array(seconds, dtype=np.float64)
@@ -194,26 +194,26 @@ def _npy(path: Path) -> tuple[Tree, Units]:
 
 def _npz(path: Path) -> tuple[Tree, Units]:
     """Arrays of numbers and words; those of Python objects, which run code when read, are empty."""
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     with np.load(path, allow_pickle=False) as store:
         for name in store.files:
             try:
-                found[name] = store[name]
+                arrays[name] = store[name]
             except ValueError as error:
                 if not str(error).startswith("Object arrays"):
                     raise
-                found[name] = np.empty(0, dtype=object)
-    return flat(found), {}
+                arrays[name] = np.empty(0, dtype=object)
+    return flat(arrays), {}
 
 
 def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
-    """Arrays and numbers that are attributes of groups, and the units that are of arrays."""
+    """Arrays, numeric attributes of groups, and the units of the arrays."""
     import h5py
 
     tree: Tree = {}
     units: Units = {}
 
-    def keep(name: str, item: Any) -> None:
+    def collect(name: str, item: Any) -> None:
         key = tuple(name.split("/")) if name else ()
         if isinstance(item, h5py.Group) and not name.startswith("#"):
             numbers = {n: np.asarray(v) for n, v in item.attrs.items() if np.ndim(v) == 0}
@@ -227,17 +227,17 @@ def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
             tree.update({(*key, n): values[n] for n in values.dtype.names})
             return
         tree[key] = values.T if reverse else values
-        said = next((item.attrs[k] for k in ("units", "unit") if k in item.attrs), "")
-        units[key] = unit_of(said.decode() if isinstance(said, bytes) else str(said))
+        unit = next((item.attrs[k] for k in ("units", "unit") if k in item.attrs), "")
+        units[key] = unit_of(unit.decode() if isinstance(unit, bytes) else str(unit))
 
     with h5py.File(path, "r") as store:
-        keep("", store)
-        store.visititems(keep)
+        collect("", store)
+        store.visititems(collect)
     return tree, units
 
 
 def _check_names(path: Path, names: Sequence[str]) -> None:
-    """Raise InputError where only pandas knows what the columns are called."""
+    """Raise InputError if only pandas can read the names of the columns."""
     if any(_OF_PANDAS.fullmatch(name) for name in names):
         message = "is a table of pandas, which alone knows the names of its columns; save it as "
         raise InputError.at(path, f"{message}CSV: DataFrame.to_csv, of DeepLabCut save_as_csv=True")
@@ -245,31 +245,31 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
 
 def flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
     """Arrays of structures within structures."""
-    found: Tree = {}
+    arrays: Tree = {}
     for name, value in content.items():
         key = (*above, str(name))
         if isinstance(value, Mapping):
-            found |= flat(value, key)
+            arrays |= flat(value, key)
             continue
         if isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
-            found |= flat({_called(item, k): item for k, item in enumerate(value)}, key)
+            arrays |= flat({_item_label(item, k): item for k, item in enumerate(value)}, key)
             continue
         values = np.asarray(value)
         if values.dtype.names is not None:
-            found |= flat({n: values[n] for n in values.dtype.names}, key)
+            arrays |= flat({n: values[n] for n in values.dtype.names}, key)
         else:
-            found[key] = values
-    return found
+            arrays[key] = values
+    return arrays
 
 
-def _called(item: Mapping[str, Any], number: int) -> str:
-    """What a structure of a list calls itself, else its number."""
-    said = (value for name, value in item.items() if LABELS.fullmatch(str(name).lower()))
-    return next((value for value in said if isinstance(value, str) and value), str(number))
+def _item_label(item: Mapping[str, Any], number: int) -> str:
+    """Label of a structure in a list, else its number."""
+    candidates = (value for name, value in item.items() if LABELS.fullmatch(str(name).lower()))
+    return next((value for value in candidates if isinstance(value, str) and value), str(number))
 
 
 def _check_one_trial(path: Path, tree: Tree) -> None:
-    """Raise InputError where groups have times of their own."""
+    """Raise InputError if several groups have their own times."""
     groups = [WITHIN.join(group) or "its top" for group in time_groups(tree)]
     if len(groups) > 1:
         raise InputError.at(
@@ -280,7 +280,7 @@ def _check_one_trial(path: Path, tree: Tree) -> None:
 
 
 def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
-    """Columns of all arrays that have as many rows as most have."""
+    """Columns of all arrays with the most frequent number of rows."""
     arrays = {key: np.squeeze(values) for key, values in tree.items()}
     numbers = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub" and v.ndim >= 1}
     lengths = Counter(n for v in numbers.values() for n in set(v.shape) if n >= _FEWEST_ROWS)
@@ -320,12 +320,12 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
 
 
 def _name(key: tuple[str, ...]) -> str:
-    """The innermost two names: a group's is that of a point, or of the whole."""
+    """The innermost two names: of a group (a point or the recording) and of the array."""
     return " ".join(key[-2:])
 
 
 def _columns(
-    key: tuple[str, ...], values: NDArray[np.float64], said: Sequence[str] | None
+    key: tuple[str, ...], values: NDArray[np.float64], titles: Sequence[str] | None
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Names and series of an array (rows, …): coordinates last, points before them."""
     name, own = _name(key), key[-1]
@@ -333,10 +333,10 @@ def _columns(
         yield name, values
         return
     if values.ndim == 2:
-        if said is not None and len(said) == values.shape[1]:
-            yield from ((_with_name(own, label), values[:, k]) for k, label in enumerate(said))
+        if titles is not None and len(titles) == values.shape[1]:
+            yield from ((_with_name(own, label), values[:, k]) for k, label in enumerate(titles))
             return
-        point = f"{said[0]} {own}" if said is not None and len(said) == 1 else name
+        point = f"{titles[0]} {own}" if titles is not None and len(titles) == 1 else name
         yield from _of_point(point, values)
         return
     points = values.shape[1:]
@@ -345,12 +345,12 @@ def _columns(
         yield from ((f"{name} {k}", columns[:, k]) for k in range(columns.shape[1]))
         return
     if (points[0] in AXES and points[1] not in AXES) or (
-        said is not None and len(said) == points[1] != points[0]
+        titles is not None and len(titles) == points[1] != points[0]
     ):
         values = values.transpose(0, 2, 1)
     for k in range(values.shape[1]):
-        named = said is not None and len(said) == values.shape[1]
-        point = f"{said[k]} {own}" if said is not None and named else f"{name} {k}"
+        named = titles is not None and len(titles) == values.shape[1]
+        point = f"{titles[k]} {own}" if titles is not None and named else f"{name} {k}"
         yield from _of_point(point, values[:, k])
 
 
@@ -379,16 +379,16 @@ def _of_point(point: str, values: NDArray[np.float64]) -> Iterator[tuple[str, ND
 
 
 def _distinct(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
-    """Columns with names of their own; of a repeated one the first keeps it."""
-    seen: Counter[str] = Counter()
+    """Columns with unique names; repeated ones are numbered from the second on."""
+    counts: Counter[str] = Counter()
     for column in columns:
-        seen[column.name] += 1
-        count = seen[column.name]
+        counts[column.name] += 1
+        count = counts[column.name]
         yield column if count == 1 else CapturedColumn(f"{column.name} #{count}", column.unit)
 
 
 def _rate_hz(arrays: Tree) -> float | None:
-    """Rows a second that a single number states."""
+    """Rows per second stated by a scalar."""
     for key, value in arrays.items():
         if value.ndim == 0 and value.dtype.kind in "fiu" and _RATE.fullmatch(key[-1].lower()):
             return float(value) if float(value) > 0.0 else None
@@ -396,16 +396,16 @@ def _rate_hz(arrays: Tree) -> float | None:
 
 
 def _of_cable(arrays: Tree) -> tuple[tuple[str, float], ...]:
-    """Positive single numbers that are named as those of a study's cable."""
+    """Positive scalars with the names of a study's cable properties."""
     single = {key[-1]: v for key, v in arrays.items() if v.ndim == 0 and v.dtype.kind in "fiu"}
     return tuple((name, float(single[name])) for name in OF_CABLE if single.get(name, 0.0) > 0.0)
 
 
 def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
-    """Unit of length that a text states."""
-    said = [unit_of(found[0]) for key, found in words.items()
-            if len(found) == 1 and _UNIT.fullmatch(key[-1].lower())]  # fmt: skip
-    return next((unit for unit in said if unit in METRES), "")
+    """Unit of length stated by a text."""
+    units = [unit_of(texts[0]) for key, texts in words.items()
+            if len(texts) == 1 and _UNIT.fullmatch(key[-1].lower())]  # fmt: skip
+    return next((unit for unit in units if unit in METRES), "")
 
 
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {

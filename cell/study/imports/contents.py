@@ -27,23 +27,23 @@ HAND = frozenset(
 )  # fmt: skip
 
 
-#: Rows a second of which films and logs are.
+#: Range of the rates of films and logs, rows per second.
 FILM_RATES_HZ = (2.0, 20_000.0)
 #: The years 1998 … 2100, in s since 1970.
 _OUR_TIMES_S = 0.9e9, 4.1e9
-#: Last words of a displacement from where a point was at first, such as dX.
+#: Last words of a displacement from a point's initial position, such as dX.
 _DISPLACEMENT = frozenset(("d", "delta", "displacement"))
-#: Steps back of a column of times in disorder, and not of other numbers, at most.
-_MOST_BACK = 0.25
-#: Frames of a film to a row that is there, at most.
-_GAPS = 1.5
+#: Largest share of backward steps in an unsorted column of times.
+_BACKWARD_SHARE = 0.25
+#: Largest mean step of a frame counter.
+_MEAN_STEP = 1.5
 
 
 @dataclass(frozen=True)
 class Point:
     """A point with two or three coordinates in columns of one file.
 
-    common  words that the names of all points of the file have: of a subject, or of the program
+    common  words common to the names of all points of the file: of a subject, or of the program
     """
 
     name: str
@@ -53,7 +53,7 @@ class Point:
 
     @property
     def on_gripper(self) -> bool:
-        """Whether its name says that it is on what holds the cable, and the others are not."""
+        """Whether its name, without the common words, contains a word for a gripper."""
         own = set(self.name.split()) - self.common
         return bool(HAND.intersection(word.rstrip("0123456789") for word in own))
 
@@ -62,13 +62,13 @@ class Point:
 class Contents:
     """Content of a file by its column names.
 
-    time         name of the column of times, else of numbers of frames; None = there is none
-    counts       whether these are numbers of frames
-    angles       columns of angles, with what their names say
+    time         name of the column of times, else of frame numbers; None = there is none
+    counts       whether `time` holds frame numbers
+    angles       columns of angles, with the meanings of their names
     quaternions  x, y, z, w of bodies, by name
-    encoders     columns of encoders, with what their names say
+    encoders     columns of encoders, with the meanings of their names
     accelerations  columns of one accelerometer by axis, x first; empty = there is none
-    unused       columns that are nothing of these
+    unused       all other columns
     """
 
     time: str | None
@@ -83,39 +83,39 @@ class Contents:
 
     @property
     def has_gripper_sensor(self) -> bool:
-        """Whether a sensor of the gripper is there, and no place of it."""
+        """Whether the file has a sensor of the gripper, but not its position."""
         by_sensor = bool(self.encoders or self.accelerations)
         return by_sensor and not any(p.on_gripper for p in self.points)
 
     def point(self, name: str) -> Point | None:
-        """The point of a name."""
+        """The point of a name; None = there is none."""
         return next((p for p in self.points if p.name == name), None)
 
 
 def contents(capture: Capture) -> Contents:
-    """Sort the columns of a file by what their names and units say."""
-    said = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
-    if all(m.kind is not ColumnKind.TIME for _, m in said):
-        said = [_since_1970(capture, n, m) for n, m in said]
-    times = [(n, m) for n, m in said if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
-    frames = [(n, m) for n, m in said if m.kind is ColumnKind.FRAME]
+    """Columns of a file, classified by their names and units."""
+    meanings = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
+    if all(m.kind is not ColumnKind.TIME for _, m in meanings):
+        meanings = [_since_1970(capture, n, m) for n, m in meanings]
+    times = [(n, m) for n, m in meanings if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
+    frames = [(n, m) for n, m in meanings if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
-    rising.sort(key=lambda found: "header" not in found[1].group.split())  # stamped by its sensor
+    rising.sort(key=lambda column: "header" not in column[1].group.split())  # stamped by its sensor
     counted = [(n, m) for n, m in frames if _rises(capture, n)]
     chosen = (rising or counted or times or frames)[:1]
-    if not chosen and said and _counts_rows(capture, *said[0]):
-        chosen = frames = [(said[0][0], replace(said[0][1], kind=ColumnKind.FRAME))]
-    points, others = _points(capture, said)
-    quaternions = _quaternions(said)
+    if not chosen and meanings and _counts_rows(capture, *meanings[0]):
+        chosen = frames = [(meanings[0][0], replace(meanings[0][1], kind=ColumnKind.FRAME))]
+    points, others = _points(capture, meanings)
+    quaternions = _quaternions(meanings)
     of_quaternions = {n for _, four in quaternions for n in four}
     angles = tuple(
-        (n, m) for n, m in said if m.kind is ColumnKind.ANGLE and n not in of_quaternions
+        (n, m) for n, m in meanings if m.kind is ColumnKind.ANGLE and n not in of_quaternions
     )
     markers = {p.name for p in points if not p.on_gripper}
-    encoders = tuple((n, m) for n, m in said if m.kind is ColumnKind.ENCODER
+    encoders = tuple((n, m) for n, m in meanings if m.kind is ColumnKind.ENCODER
                      and not any(n.startswith(f"{name} ") for name in markers))  # fmt: skip
-    accelerations = _accelerations(said, markers)
-    if any(p.on_gripper for p in points):  # then an encoder can only tell how it is turned
+    accelerations = _accelerations(meanings, markers)
+    if any(p.on_gripper for p in points):  # then an encoder can only measure its angle
         angles += tuple((n, m) for n, m in encoders if m.unit in RADIANS)
     used = {n for n, _ in encoders + accelerations}
     used |= {n for p in points for n in p.columns} | {n for n, _ in chosen} | {n for n, _ in angles}
@@ -129,12 +129,12 @@ def contents(capture: Capture) -> Contents:
         quaternions,
         encoders,
         accelerations,
-        tuple(n for n, _ in said if n not in used) + tuple(others),
+        tuple(n for n, _ in meanings if n not in used) + tuple(others),
     )
 
 
 def epoch_unit(times: FloatArray) -> str:
-    """Unit of times (rows,) that count from 1970, by their size; empty = they do not."""
+    """Unit of times (rows,) that count from 1970, by their magnitude; empty = they do not."""
     if len(times) < 2 or not np.isfinite(times).all() or not times[-1] > times[0]:
         return ""
     step = float(times[-1] - times[0]) / (len(times) - 1)
@@ -147,7 +147,7 @@ def epoch_unit(times: FloatArray) -> str:
 
 
 def on_one_clock(inside: Contents, capture: Capture, other: Contents, of: Capture) -> Contents:
-    """The content of a file, with its times since 1970 where another file has such alone."""
+    """The content of a file, with its times since 1970 if another file has no other times."""
     if None in (inside.time, other.time) or not epoch_unit(of.column(other.time or "")):
         return inside
     times = [c for c in capture.columns if meaning(c).kind is ColumnKind.TIME]
@@ -157,98 +157,97 @@ def on_one_clock(inside: Contents, capture: Capture, other: Contents, of: Captur
     return replace(inside, time=since[0].name, time_unit=meaning(since[0]).unit, counts=False)
 
 
-def _since_1970(capture: Capture, name: str, said: Meaning) -> tuple[str, Meaning]:
-    """A column of times since 1970, whatever its name says."""
-    of_no_kind = said.kind in (ColumnKind.FRAME, ColumnKind.OTHER) and not said.unit
+def _since_1970(capture: Capture, name: str, named: Meaning) -> tuple[str, Meaning]:
+    """A column, classified as time if its values are times since 1970."""
+    of_no_kind = named.kind in (ColumnKind.FRAME, ColumnKind.OTHER) and not named.unit
     if of_no_kind and epoch_unit(capture.column(name)):
-        said = replace(said, kind=ColumnKind.TIME)
-    return name, said
+        named = replace(named, kind=ColumnKind.TIME)
+    return name, named
 
 
 def with_names(
     capture: Capture, wanted: Sequence[str], time: str | None
 ) -> tuple[Capture, dict[str, str]]:
-    """The file with these names for columns that say the same by others, and their own names.
+    """The file with synonymous columns renamed to the wanted names, and their original names.
 
-    So `Tip/0/X` and `Tip X`, which several programs write of the same point.
+    Synonyms are `Tip/0/X` and `Tip X`, which different programs write for the same point.
 
-    time  name of the column of times; None = it keeps its own
+    time  wanted name of the column of times; None = it keeps its own
     """
-    lacking = [n for n in wanted if n not in capture.names]
+    missing = [n for n in wanted if n not in capture.names]
     free = [c for c in capture.columns if c.name not in wanted]
-    meant = with_axes_at_ends([(n, meaning(CapturedColumn(n))) for n in wanted])
-    there = with_axes_at_ends([(c.name, meaning(c)) for c in free])
-    others: dict[str, str] = {}
-    for name, said in meant:
-        alike = [n for n, m in there if _same_thing(m, said)]
-        if name in lacking and len(alike) == 1:
-            others[name] = alike[0]
+    wanted_meanings = with_axes_at_ends([(n, meaning(CapturedColumn(n))) for n in wanted])
+    free_meanings = with_axes_at_ends([(c.name, meaning(c)) for c in free])
+    originals: dict[str, str] = {}
+    for name, target in wanted_meanings:
+        synonyms = [n for n, m in free_meanings if _are_synonyms(m, target)]
+        if name in missing and len(synonyms) == 1:
+            originals[name] = synonyms[0]
     inside = contents(capture)
     if time is not None and inside.time and time not in (ROW_NUMBER, *capture.names):
-        said = meaning(CapturedColumn(time))
-        if (said.unit, said.kind is ColumnKind.TIME) == (inside.time_unit, not inside.counts):
-            others[time] = inside.time
-    if len(set(others.values())) < len(others):
+        target = meaning(CapturedColumn(time))
+        if (target.unit, target.kind is ColumnKind.TIME) == (inside.time_unit, not inside.counts):
+            originals[time] = inside.time
+    if len(set(originals.values())) < len(originals):
         return capture, {}
-    names = {own: name for name, own in others.items()}
+    names = {own: name for name, own in originals.items()}
     columns = tuple(replace(c, name=names.get(c.name, c.name)) for c in capture.columns)
-    return replace(capture, columns=columns), others
+    return replace(capture, columns=columns), originals
 
 
-def _same_thing(one: Meaning, other: Meaning) -> bool:
+def _are_synonyms(first: Meaning, second: Meaning) -> bool:
     """Whether two names mean the same coordinate of one point or body."""
-    groups = [" ".join(w for w in m.group.split() if w != "0") for m in (one, other)]
-    same = (one.kind, one.axis, one.unit) == (other.kind, other.axis, other.unit)
-    return same and groups[0] == groups[1] and bool(one.axis and groups[0])
+    groups = [" ".join(w for w in m.group.split() if w != "0") for m in (first, second)]
+    same = (first.kind, first.axis, first.unit) == (second.kind, second.axis, second.unit)
+    return same and groups[0] == groups[1] and bool(first.axis and groups[0])
 
 
 def without_unsure(capture: Capture) -> Capture:
     """The file without positions whose detection confidence is below the threshold.
 
-    A point that is seen in fewer than half of the rows so is kept as it is.
+    A point that would lose more than half of its rows is not changed.
     """
     values, notes = capture.values.copy(), list(capture.notes)
-    for column, shown in zip(capture.columns, capture.values.T, strict=True):
-        if (said := confidence(column)) is None:
+    for column, confidences in zip(capture.columns, capture.values.T, strict=True):
+        if (limit := confidence(column)) is None:
             continue
-        group, least = said
-        places = [
+        group, threshold = limit
+        coordinates = [
             i
             for i, c in enumerate(capture.columns)
             if (m := meaning(c)).kind is ColumnKind.COORDINATE and m.group == group
         ]
-        unsure = shown < least
+        unsure = confidences < threshold
         count = int(np.count_nonzero(unsure))
-        if not places or not count or 2 * count > len(shown):
+        if not coordinates or not count or 2 * count > len(confidences):
             continue
-        values[np.ix_(unsure, places)] = np.nan
+        values[np.ix_(unsure, coordinates)] = np.nan
         notes.append(
-            f"{capture.path}: {column.name!r} is below {least:g} in {count} rows: {group!r} is "
+            f"{capture.path}: {column.name!r} is below {threshold:g} in {count} rows: {group!r} is "
             "taken as not seen there"
         )
     return replace(capture, values=values, notes=tuple(notes))
 
 
 def _accelerations(
-    said: list[tuple[str, Meaning]], markers: set[str]
+    meanings: list[tuple[str, Meaning]], markers: set[str]
 ) -> tuple[tuple[str, Meaning], ...]:
-    """Of the sensor that is named after a gripper, else of the first; of markers they are no
-    use."""
-    found = [
-        (n, m) for n, m in said if m.kind is ColumnKind.ACCELERATION and m.group not in markers
+    """Columns of the accelerometer named after a gripper, else of the first on no marker."""
+    columns = [
+        (n, m) for n, m in meanings if m.kind is ColumnKind.ACCELERATION and m.group not in markers
     ]
-    groups = list(dict.fromkeys(m.group for _, m in found))
+    groups = list(dict.fromkeys(m.group for _, m in columns))
     chosen = next((g for g in groups if HAND.intersection(g.split())), groups[0] if groups else "")
-    return tuple(sorted(((n, m) for n, m in found if m.group == chosen), key=lambda f: f[1].axis))
+    return tuple(sorted(((n, m) for n, m in columns if m.group == chosen), key=lambda f: f[1].axis))
 
 
-def _counts_rows(capture: Capture, name: str, said: Meaning) -> bool:
+def _counts_rows(capture: Capture, name: str, named: Meaning) -> bool:
     """Whether a first column without a meaning counts frames, of which few are missing."""
     steps = np.diff(capture.column(name))
-    if said.kind is not ColumnKind.OTHER or said.unit or not len(steps):
+    if named.kind is not ColumnKind.OTHER or named.unit or not len(steps):
         return False
-    whole = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
-    return whole and bool(np.median(steps) == 1.0 and steps.mean() < _GAPS)
+    is_integer = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
+    return is_integer and bool(np.median(steps) == 1.0 and steps.mean() < _MEAN_STEP)
 
 
 def _holds_any(capture: Capture, name: str) -> bool:
@@ -259,23 +258,23 @@ def _rises(capture: Capture, name: str) -> bool:
     values = capture.column(name)
     steps = np.diff(values)
     rises = len(steps) > 0 and np.isfinite(values).all() and values[-1] > values[0]
-    return bool(rises and np.mean(steps < 0.0) < _MOST_BACK)
+    return bool(rises and np.mean(steps < 0.0) < _BACKWARD_SHARE)
 
 
 def _points(
-    capture: Capture, said: list[tuple[str, Meaning]]
+    capture: Capture, meanings: list[tuple[str, Meaning]]
 ) -> tuple[tuple[Point, ...], list[str]]:
-    """Points with all their coordinates, and columns that have no other coordinate beside them."""
+    """Points with all their coordinates, and columns without a second coordinate."""
     groups: dict[str, dict[str, tuple[str, str]]] = {}
-    for name, m in said:
+    for name, m in meanings:
         if m.kind is ColumnKind.COORDINATE:
             groups.setdefault(m.group, {}).setdefault(m.axis, (name, m.unit))
     points: list[Point] = []
-    alone: list[str] = []
+    single: list[str] = []
     for group, axes in groups.items():
         base, _, last = group.rpartition(" ")
         if len(axes) < 2 or (last in _DISPLACEMENT and base in groups):
-            alone += [name for name, _ in axes.values()]
+            single += [name for name, _ in axes.values()]
             continue
         columns = tuple(axes[a][0] for a in "xyz" if a in axes)
         unit = next((u for _, u in axes.values() if u), capture.unit)
@@ -284,15 +283,15 @@ def _points(
     if len(points) > 1:
         common = frozenset.intersection(*(frozenset(p.name.split()) for p in points))
         points = [replace(p, common=common) for p in points]
-    return tuple(points), alone
+    return tuple(points), single
 
 
 def _quaternions(
-    said: list[tuple[str, Meaning]],
+    meanings: list[tuple[str, Meaning]],
 ) -> tuple[tuple[str, tuple[str, str, str, str]], ...]:
-    """Bodies whose orientation has four numbers; some programs call these a rotation."""
+    """Quaternion columns of bodies; some programs call them a rotation."""
     groups: dict[tuple[str, ColumnKind], dict[str, str]] = {}
-    for name, m in said:
+    for name, m in meanings:
         if m.kind in (ColumnKind.QUATERNION, ColumnKind.ANGLE) and m.axis:
             groups.setdefault((m.group, m.kind), {}).setdefault(m.axis, name)
     return tuple(

@@ -1,4 +1,4 @@
-"""Files and a mapping → a study; every complaint names file, line and column as given."""
+"""Files and a mapping → a study; every problem names file, line and column of the input."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cell.study.imports.row_trials import rows_of
 from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
 from cell.study.trial_checks import TrialEvidence, trial_problems
 
-#: A unit of angles below this is no radian.
+#: A unit of angles below this many radians is not the radian.
 _DEGREES = 0.1
 
 
@@ -48,15 +48,15 @@ def read_captures(read: ReadMapping) -> dict[str, Capture]:
     each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
     forms = {t.file: mapping.text for t, mapping in each}
     forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
-    found = {
+    captures = {
         name: read_capture(read.file(name), None if text is None else text.form)
         for name, text in forms.items()
     }
     for trial, _ in each:
         if trial.joined_files:
             others = [read_capture(read.file(name)) for name in trial.joined_files]
-            found[trial.file] = joined([found[trial.file], *others])
-    return found
+            captures[trial.file] = joined([captures[trial.file], *others])
+    return captures
 
 
 def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
@@ -80,15 +80,15 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         except InputError as error:
             problems += error.problems
             continue
-        found, told = _tested(measured, cable, arcs[order], mapping.gravity_m_per_s2)
-        problems += found
-        notes += [*measured.notes, *told]
+        refusals, remarks = _checked_trial(measured, cable, arcs[order], mapping.gravity_m_per_s2)
+        problems += refusals
+        notes += [*measured.notes, *remarks]
         trials.append(measured.trial)
         if entry.start in ("straight", "held") and entry.release_s is None:
             message = f"is missing; `start: {entry.start}` needs the time of letting go"
             problems.append(read.document.problem(("trials", i, "release_s"), message))
     if not problems and mapping.hand.angle.constant_rad is not None:
-        problems += _one_angle(read, trials)
+        problems += _rest_direction_problems(read, trials)
     if problems:
         raise InputError(problems)
     study = Study(
@@ -108,9 +108,9 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
 class _ImportedTrial:
     """A trial, and the file that its markers come from.
 
-    detected  (rows of the file,) rows of frames
+    detected  (rows of the file,) whether a row is a frame
     across_m  (T, markers) coordinate across the plane; None = the file has two coordinates
-    notes     on how the gripper is known, one sentence each
+    notes     remarks on the file and the gripper's path, one sentence each
     """
 
     trial: Trial
@@ -120,15 +120,15 @@ class _ImportedTrial:
     notes: tuple[str, ...]
 
     def problem(self, failure: Failure, sentence: str) -> Problem:
-        """A complaint about a row of the trial."""
+        """A problem of a row of the trial."""
         row = int(np.flatnonzero(self.detected)[failure.row or 0])
         return self.capture.problem(row, sentence, failure.column)
 
 
-def _tested(
+def _checked_trial(
     measured: _ImportedTrial, cable: Cable, arcs: FloatArray, gravity: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
-    """What is refused of a trial, and what is noted."""
+    """Problems for which a trial is refused, and notes on it."""
     trial = measured.trial
     evidence = TrialEvidence(trial, cable, arcs, gravity, measured.across_m)
     problems = [measured.problem(*each) for each in failures(IMPORT_REFUSALS, evidence)]
@@ -136,30 +136,30 @@ def _tested(
         problems = [measured.problem(*each) for each in islice(failures(IMPORT_SHAPE, evidence), 1)]
     if problems:
         return problems, []
-    told = []
+    notes = []
     for failure, sentence in failures(IMPORT_NOTES, evidence):
         line = "" if failure.row is None else f":{measured.problem(failure, '').line}"
-        told.append(f"{measured.capture.path}{line}: {sentence}")
+        notes.append(f"{measured.capture.path}{line}: {sentence}")
     problems, more = trial_problems(trial, cable, arcs, gravity)
-    return problems, [*told, *more]
+    return problems, [*notes, *more]
 
 
-#: Rows between two steps back in time that are a recording of its own.
-_OWN_RECORDING = 5
-#: Trials of one cable whose clamp never turns rest alike, rad.
+#: Minimum number of rows between two backward steps in time that form a separate recording.
+_RECORDING_ROWS = 5
+#: Tolerance of the rest directions of trials whose clamp angle is constant, rad.
 _RESTS_ALIKE = 0.05
 
 
-def _one_angle(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
-    """Trials that rest in other directions, though the mapping says that the clamp never turns."""
+def _rest_direction_problems(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
+    """Problem if trials differ in rest direction, but the mapping has a constant clamp angle."""
     rests = []
     for trial in trials:
-        still = trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
-        seen = trial.markers.xy_m[still, -1]
-        seen = seen[np.isfinite(seen).all(axis=1)]
-        if trial.bent or not len(seen):
+        at_rest = trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
+        nearest_m = trial.markers.xy_m[at_rest, -1]
+        nearest_m = nearest_m[np.isfinite(nearest_m).all(axis=1)]
+        if trial.bent or not len(nearest_m):
             continue
-        away = np.median(seen, axis=0) - [trial.grip.x_m[0], trial.grip.y_m[0]]
+        away = np.median(nearest_m, axis=0) - [trial.grip.x_m[0], trial.grip.y_m[0]]
         rests.append((float(np.arctan2(-away[1], -away[0])), trial.name))
     if len(rests) < 2:
         return []
@@ -178,10 +178,10 @@ def _one_angle(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
 def trials_of(
     read: ReadMapping, captures: Dictionary[str, Capture]
 ) -> tuple[list[Trial], list[Problem]]:
-    """Trials as far as they can be shown, though the mapping lacks entries, and what is wrong.
+    """Trials that can be shown with an incomplete mapping, and the problems of the others.
 
     Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.  A
-    gripper that is not known yet stands still.
+    gripper whose path is still unknown stands still.
     """
     # A proposal has the marker at the gripper first.
     order = np.arange(len(read.mapping.markers))[::-1]
@@ -199,11 +199,11 @@ def trials_of(
 
 
 def _arc_length_std_m(mapping: Mapping) -> FloatArray | None:
-    """(markers,) as the mapping has them, 0 where a place is exact; None = all are."""
-    given = [m.arc_length_std_m for m in mapping.markers]
-    if all(std_m is None for std_m in given):
+    """(markers,) of the mapping, 0 where a position is exact; None = all are."""
+    stds_m = [m.arc_length_std_m for m in mapping.markers]
+    if all(std_m is None for std_m in stds_m):
         return None
-    return np.array([std_m or 0.0 for std_m in given])
+    return np.array([std_m or 0.0 for std_m in stds_m])
 
 
 def _cable(read: ReadMapping) -> Cable:
@@ -211,12 +211,12 @@ def _cable(read: ReadMapping) -> Cable:
     mapping = read.mapping
     arcs = [m.arc_length_m for m in mapping.markers if m.arc_length_m is not None]
     stds = _arc_length_std_m(mapping)
-    given = mapping.cable.model_dump(exclude_none=True)
-    datasheet = datasheet_of(given)
+    entries = mapping.cable.model_dump(exclude_none=True)
+    datasheet = datasheet_of(entries)
     problems = [
         read.document.problem(_key_of(read, key), message)
         for key, message in implausible_entries(
-            given, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
+            entries, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
             mapping.noise_std_m, () if stds is None else stds[_tip_first(mapping)].tolist(),
         )
     ]  # fmt: skip
@@ -232,7 +232,7 @@ def _tip_first(mapping: Mapping) -> NDArray[np.intp]:
 
 
 def _key_of(read: ReadMapping, key: Key) -> Key:
-    """Where the mapping says what a study says elsewhere: arc lengths beside their markers."""
+    """Key in the mapping of a study's entry: arc lengths are entries of their markers."""
     if key[0] != "markers" or len(key) < 2:
         return key
     number = int(_tip_first(read.mapping)[int(key[2])]) if len(key) > 2 else 0
@@ -249,7 +249,7 @@ def _measured(
     mapping = read.mapping
     columns = [name for m in mapping.markers for name in m.columns]
     columns += [] if entry.hand_file else mapping.hand.columns or []
-    capture = _named(rows_of(captures[entry.file], entry.only), columns, mapping.time)
+    capture = _renamed(rows_of(captures[entry.file], entry.only), columns, mapping.time)
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
     scale = mapping.metres_per_unit or 1.0
@@ -260,32 +260,32 @@ def _measured(
     across = [
         out_of_plane_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in entries
     ]
-    seen: NDArray[np.bool_] = np.asarray(np.isfinite(xy_m).any(axis=(1, 2)))
-    if np.count_nonzero(seen) < 2:
+    detected: NDArray[np.bool_] = np.asarray(np.isfinite(xy_m).any(axis=(1, 2)))
+    if np.count_nonzero(detected) < 2:
         names = ", ".join(m.name for m in entries)
         raise capture.error(0, f"shows {names} in fewer than 2 rows; give columns with numbers")
     if mapping.frames is not None:
-        seen |= np.nan_to_num(capture.column(mapping.frames)) != 0.0
-    source = Source(capture.path, capture.lines[seen], order, tuple(m.name for m in entries))
-    markers = Markers(t_s[seen] - zero_s, xy_m[seen], source)
+        detected |= np.nan_to_num(capture.column(mapping.frames)) != 0.0
+    source = Source(capture.path, capture.lines[detected], order, tuple(m.name for m in entries))
+    markers = Markers(t_s[detected] - zero_s, xy_m[detected], source)
     motion, path = _motion(read, entry, captures, zero_s, markers)
     drift = path.drift if entry.hand_drift is None else entry.hand_drift.drift()
     wrench = None if mapping.wrench is None else mapping.wrench.wrench(capture, t_s - zero_s)
     trial = Trial(
         entry.name, entry.role, entry.start, motion, markers, entry.release_s, drift, wrench
     )
-    known = [a[seen] for a in across if a is not None]
-    deep = np.stack(known, axis=1) if len(known) == len(across) else None
-    told = path.note, other_rate(capture, mapping.time)
-    notes = (*capture.notes, *(note for note in told if note))
-    return _ImportedTrial(trial, capture, seen, deep, notes)
+    depths = [a[detected] for a in across if a is not None]
+    across_m = np.stack(depths, axis=1) if len(depths) == len(across) else None
+    remarks = path.note, other_rate(capture, mapping.time)
+    notes = (*capture.notes, *(note for note in remarks if note))
+    return _ImportedTrial(trial, capture, detected, across_m, notes)
 
 
-def _named(capture: Capture, columns: Sequence[str | None], time: TimeSection) -> Capture:
-    """The file with the mapping's names of its times and of columns of points, and notes on it."""
+def _renamed(capture: Capture, columns: Sequence[str | None], time: TimeSection) -> Capture:
+    """The file with its columns renamed as in the mapping, and a note on each."""
     named, others = with_names(capture, [n for n in columns if n is not None], time.column)
-    told = [f"{capture.path}: column {own!r} is taken as {name!r}" for name, own in others.items()]
-    return replace(named, notes=tuple(told))
+    notes = [f"{capture.path}: column {own!r} is taken as {name!r}" for name, own in others.items()]
+    return replace(named, notes=tuple(notes))
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:
@@ -316,11 +316,11 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
 
 
 def _restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
-    """Whether times rise for long between the rows at which they go back by more than a few."""
+    """Whether the times are of several recordings: large backward steps, many rows apart."""
     parts = np.diff([0, *back, len(raw)])
     steps = raw[back - 1] - raw[back]
     usual = float(np.median(np.diff(raw)))
-    return bool(parts.min() >= _OWN_RECORDING and steps.min() > _OWN_RECORDING * usual > 0.0)
+    return bool(parts.min() >= _RECORDING_ROWS and steps.min() > _RECORDING_ROWS * usual > 0.0)
 
 
 def _motion(
@@ -336,7 +336,7 @@ def _motion(
     """
     mapping, hand = read.mapping, read.mapping.hand
     columns, time = list(hand.columns or ()), hand.time or mapping.time
-    capture = _named(rows_of(captures[entry.hand_file or entry.file], entry.only), columns, time)
+    capture = _renamed(rows_of(captures[entry.hand_file or entry.file], entry.only), columns, time)
     t_s = times_s(capture, time) - zero_s + entry.clock_offset_s
     path = gripper_path(read, entry, capture, t_s)
     xy_m, angle_rad = path.xy_m, path.angle_rad
@@ -354,21 +354,21 @@ def _motion(
             f"is {angle_rad[row]:.4g} rad, limit ±2π; {remedy}",
             hand.angle.column or "hand.angle",
         )
-    span, seen = t_s[known], markers.t_s
-    if seen[-1] < span[0] or seen[0] > span[-1]:
+    span, frames_s = t_s[known], markers.t_s
+    if frames_s[-1] < span[0] or frames_s[0] > span[-1]:
         raise capture.error(
             int(rows[0]),
             f"the gripper is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
-            f"{seen[0]:.6g} to {seen[-1]:.6g} s; give clock_offset_s of the trial",
+            f"{frames_s[0]:.6g} to {frames_s[-1]:.6g} s; give clock_offset_s of the trial",
         )
     values = (span, xy_m[known, 0], xy_m[known, 1], angle_rad[known])
     return Motion(*(np.ascontiguousarray(v) for v in values)), path
 
 
-def _fit(long_m: FloatArray, cable_m: FloatArray) -> bool:
-    """Whether pieces are as long as their pieces of cable, in the same unit."""
-    together = float(long_m.sum()), float(cable_m.sum())
-    return min(together) <= 0.0 or 1.0 / WRONG_UNIT < together[0] / together[1] < WRONG_UNIT
+def _same_unit(long_m: FloatArray, cable_m: FloatArray) -> bool:
+    """Whether the total lengths of markers' and cable's pieces are in the same unit."""
+    totals = float(long_m.sum()), float(cable_m.sum())
+    return min(totals) <= 0.0 or 1.0 / WRONG_UNIT < totals[0] / totals[1] < WRONG_UNIT
 
 
 def _check_unit(read: ReadMapping, trial: Trial, arcs: FloatArray) -> None:
@@ -385,11 +385,11 @@ def _check_unit(read: ReadMapping, trial: Trial, arcs: FloatArray) -> None:
         return
     each_m = np.nanmedian(steps[:, good], axis=0)
     cables_m = np.abs(np.diff(np.append(arcs, 0.0)))[: steps.shape[1]][good]
-    if _fit(each_m, cables_m):
+    if _same_unit(each_m, cables_m):
         return
     long_m, cable_m = float(each_m.sum()), float(cables_m.sum())
     scale = mapping.metres_per_unit or 1.0
-    if steps.shape[1] == len(arcs) and len(each_m) > 1 and _fit(each_m[:-1], cables_m[:-1]):
+    if steps.shape[1] == len(arcs) and len(each_m) > 1 and _same_unit(each_m[:-1], cables_m[:-1]):
         raise read.error(
             ("hand",),
             f"is {each_m[-1]:.4g} m from the nearest marker of {trial.name}, with "

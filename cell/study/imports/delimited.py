@@ -1,4 +1,4 @@
-"""Text tables of unknown form: finds separator, decimal mark, header, units and the rows."""
+"""Text tables of unknown form: detects separator, decimal mark, header, units and rows."""
 
 from __future__ import annotations
 
@@ -59,16 +59,16 @@ from cell.study.table import MAX_ROWS
 #: In the order in which they are preferred; a blank stands for any number of blanks.
 SEPARATORS = (",", ";", "\t", "|", " ")
 DECIMALS: tuple[Decimal, ...] = (".", ",")
-#: Lines from which the form of a text is told, and how many of these are looked at.
-_SAMPLE, _LOOKED_AT = 400, 80
-#: Lines that are read cell by cell before plain ones are read at once: more than any header has.
+#: Lines from which the form of a text is detected, and how many of these are sampled.
+_SAMPLE, _SAMPLED = 400, 80
+#: Lines read cell by cell before the others are read at once: more than any header has.
 _HEAD = 60
-#: Any number of blanks stands between cells only if another separator shows so much less.
+#: Weight of blanks as the separator: another one may yield so much fewer numbers.
 _BLANKS = 0.95
-#: A text that shows fewer than this share of its numbers in one form is of another.
+#: A form is rejected if it yields less than this share of the numbers of the detected form.
 _OF_FORM = 0.5
-#: A word that stands in fewer cells is no program's word for a gap.
-_FEWEST_GAPS = 2
+#: Minimum number of cells of a word that means a missing value.
+_FEWEST_MISSING = 2
 #: Headers of motion capture have a dozen lines; what begins later is no table.
 _MOST_HEADER = 200
 
@@ -76,34 +76,34 @@ _MOST_HEADER = 200
 def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     """Read a table, wide (a row per time) or long (a row per time and marker).
 
-    Of several tables in one file, parted by blank lines, the one with the most points is taken,
-    unless they go together.
+    Of several tables in one file, separated by blank lines, the one with the most points is
+    read, unless they can be joined.
 
-    form    separator and decimal mark; None = found from the text
+    form    separator and decimal mark; None = detected from the text
     raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
     """
     text, notes = _text(path)
     if text.count("\n") > MAX_ROWS + _MOST_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
-    if form is None and (made := by_channels(path, text.splitlines())) is not None:
-        return replace(made, notes=(*notes, *made.notes))
+    if form is None and (capture := by_channels(path, text.splitlines())) is not None:
+        return replace(capture, notes=(*notes, *capture.notes))
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
         _check_form(path, text, form)
     form = form or text_form(text)
     lines = with_legend(without_properties(raw, form.separator), form.separator)
-    made = _long_table(path, lines, form)
-    if made is None:
-        rows, told = upright(path, split_lines(path, lines, form.separator), form.decimal)
-        notes += told
-        made = _richest(path, _tables(rows, form), form)
-    return replace(made, notes=(*notes, *made.notes))
+    capture = _long_table(path, lines, form)
+    if capture is None:
+        rows, row_notes = upright(path, split_lines(path, lines, form.separator), form.decimal)
+        notes += row_notes
+        capture = _richest(path, _tables(rows, form), form)
+    return replace(capture, notes=(*notes, *capture.notes))
 
 
 def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | None:
-    """The same of a long text whose lines are plain numbers below its head; None = it is none."""
+    """The table of a long text with only plain numbers below its head; None = another form."""
     below = _plain_numbers(lines[_HEAD:], form)
     if below is None:
         return None
@@ -117,7 +117,7 @@ def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | N
 
 
 def _plain_numbers(lines: Sequence[str], form: TextForm) -> np.ndarray | None:
-    """(lines, cells) of lines that hold as many plain numbers each; None = they do not."""
+    """(lines, cells) of lines with equally many plain numbers; None = other lines."""
     separator, text = form.separator, "\n".join(lines)
     marks = f"{form.decimal}{separator}".replace(" ", " \t")
     if not re.fullmatch(rf"[0-9eE+\-{re.escape(marks)}\n]+", text):
@@ -177,15 +177,15 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
 
 
 def _is_remark(row: Row, decimal: Decimal) -> bool:
-    """Whether a row is no table's: a cell alone, or a word and its value."""
+    """Whether a row is a remark: a single cell, or a word and its value."""
     filled = [c for c in row.cells if c.strip()]
     return len(row.cells) < 2 or (len(filled) == 2 and not is_number(filled[0], decimal))
 
 
 def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Capture:
-    """The table with the most points; columns of others with the same frames stand beside it.
+    """The table with the most points; columns of others with the same frames are joined to it.
 
-    raises  InputError: the first complaint, if none can be read
+    raises  InputError: the first problem, if no table can be read
     """
     parts: list[tuple[Capture, dict[str, list[str]]]] = []
     read: list[Capture] = []
@@ -212,8 +212,8 @@ def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Cap
             continue
         if same_frames(best, other):
             best = joined(best, other)
-        elif (both := on_one_clock(best, other)) is not None:
-            best = both
+        elif (merged := on_one_clock(best, other)) is not None:
+            best = merged
         else:
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
             best = replace(best, notes=(*best.notes, note))
@@ -286,7 +286,7 @@ def captured(
 ) -> tuple[Capture, dict[str, list[str]]]:
     """Columns of numbers, and columns of words by name.
 
-    raises  InputError: a cell of a column of numbers is none
+    raises  InputError: a cell of a numeric column is not a number
     """
     table, columns = without_units(path, table, header.columns, decimal)
     header = replace(header, columns=columns)
@@ -320,11 +320,11 @@ def text_form(text: str) -> TextForm:
 def _sample(text: str) -> list[str]:
     """Lines from all over the beginning of a text."""
     lines = text.splitlines()[:_SAMPLE]
-    return lines[:: max(1, len(lines) // _LOOKED_AT)]
+    return lines[:: max(1, len(lines) // _SAMPLED)]
 
 
 def _numbers(lines: Sequence[str], form: TextForm) -> int:
-    """How many numbers stand in rows of equal width, less what is none."""
+    """Number of numeric cells in rows of equal width, minus the non-numeric ones."""
     counts: Counter[int] = Counter()
     for line in lines:
         cells = split_line(line, form.separator)
@@ -339,7 +339,7 @@ def _numbers(lines: Sequence[str], form: TextForm) -> int:
 
 
 def _check_form(path: Path, text: str, form: TextForm) -> None:
-    """Raise InputError where a text is rather a table of another form than it is said to be."""
+    """Raise InputError if another form fits a text much better than the stated one."""
     lines, own = _sample(text), text_form(text)
     if _numbers(lines, form) >= _OF_FORM * _numbers(lines, own):
         return
@@ -357,7 +357,7 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     raises  InputError: there is none, or a row in it is something else
     """
     data = [len(r.cells) >= 2 and r.is_data(form.decimal) for r in rows]
-    for i in range(1, len(rows)):  # of a row of words, too, whose numbers are all missing
+    for i in range(1, len(rows)):  # also rows of words whose numbers are all missing
         data[i] = data[i] or (data[i - 1] and is_like(rows[i], rows[i - 1], form.decimal))
     widths = Counter(len(r.cells) for r, is_one in zip(rows, data, strict=True) if is_one)
     if not widths:
@@ -391,8 +391,8 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
 def _first_row(rows: Sequence[Row], of_width: Sequence[int]) -> int:
     """Index of the table's first row among those of numbers.
 
-    A number alone in its line is one of the header, however many separators follow it; so is a line
-    of numbers, such as IDs, above a line of words.
+    A line with a single number belongs to the header, however many separators follow it; so does a
+    line of numbers, such as IDs, above a line of words.
     """
     for i in of_width:
         above_names = i + 1 < len(rows) and _are_names(rows[i + 1].cells)
@@ -402,7 +402,7 @@ def _first_row(rows: Sequence[Row], of_width: Sequence[int]) -> int:
 
 
 def _are_names(cells: Sequence[str]) -> bool:
-    """Whether several words stand there, and no number."""
+    """Whether the cells hold several words and no number."""
     words = [c for c in cells if c.strip().lower() not in NOT_SEEN]
     return len(words) > 1 and not any(c.strip()[0] in "+-.,0123456789" for c in words)
 
@@ -441,12 +441,12 @@ def _without_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
 
 def _numeric_columns(table: Sequence[Row], decimal: Decimal, grouped: bool) -> list[bool]:
     """Whether the cells of a column are numbers: at least half of those that are filled."""
-    found = []
+    numeric = []
     for cells in zip(*(row.cells for row in table), strict=True):
         filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
         good = sum(number(c, decimal, grouped) is not None for c in filled)
-        found.append(2 * good >= len(filled))
-    return found
+        numeric.append(2 * good >= len(filled))
+    return numeric
 
 
 def _values(
@@ -457,11 +457,11 @@ def _values(
     decimal: Decimal,
     grouped: bool,
 ) -> tuple[np.ndarray, list[str]]:
-    """(rows, numeric columns), and notes about words that mean that nothing was seen.
+    """(rows, numeric columns), and notes on words that mean a missing value.
 
     raises  InputError: a cell is no number
     """
-    chosen = [c for c, is_one in enumerate(numeric) if is_one]
+    chosen = [c for c, is_numeric in enumerate(numeric) if is_numeric]
     values = np.empty((len(table), len(chosen)))
     words: dict[str, list[tuple[Row, int]]] = {}
     for i, row in enumerate(table):
@@ -473,7 +473,7 @@ def _values(
                 words.setdefault(row.cells[c].strip(), []).append((row, c))
             values[i, k] = np.nan if value is None else value
     for places in words.values():  # a program writes its word for a gap into each coordinate
-        if len(places) < _FEWEST_GAPS:
+        if len(places) < _FEWEST_MISSING:
             row, c = places[0]
             raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
     return values, [

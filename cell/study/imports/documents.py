@@ -18,9 +18,9 @@ from cell.study.imports.capture import CapturedColumn, number
 from cell.study.imports.units import split_unit
 from cell.study.table import MAX_BYTES, MAX_ROWS
 
-#: Coordinates of an array whose last dimension has so many: places, or quaternions.
+#: Axes by the size of an array's last dimension: positions, or quaternions.
 AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
-#: Entries by which a record of a list says of which point it is.
+#: Keys of a record that identify its point.
 _LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
 _MOST_DEPTH, FEWEST_RECORDS = 8, 3
 #: OpenCV's first line, which is no YAML, its matrices, and its word for no number.
@@ -35,10 +35,10 @@ Cell = tuple[CapturedColumn, float | str]
 
 @dataclass(frozen=True, eq=False)
 class StructuredDocument:
-    """What a document holds.
+    """Content of a document.
 
     records  each with the number of its line, or of the record; they are all alike, or of streams
-    counted  what is numbered
+    counted  what the numbers count: `line` or `record`
     """
 
     content: Any
@@ -62,24 +62,24 @@ def read_document(path: Path) -> StructuredDocument:
     text, ending = read_text(path, MAX_BYTES), path.suffix.lower()
     if ending in (".jsonl", ".ndjson"):
         lines = ((i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip())
-        records = [(i, _parsed(path, line, i)) for i, line in lines]
-        found = StructuredDocument(None, records, "line")
+        records = [(i, _parse_json(path, line, i)) for i, line in lines]
+        document = StructuredDocument(None, records, "line")
     elif ending in (".yml", ".yaml"):
-        found = _of_records(_yaml(path, text))
+        document = _of_records(_parse_yaml(path, text))
     elif ending == ".json":
-        found = _of_records(_parsed(path, text, None))
+        document = _of_records(_parse_json(path, text, None))
     else:
-        found = _xml(path, text)
-    if len(found.records) > MAX_ROWS:
-        raise InputError.at(path, f"has {len(found.records)} records, limit {MAX_ROWS}; cut it")
-    return found
+        document = _parse_xml(path, text)
+    if len(document.records) > MAX_ROWS:
+        raise InputError.at(path, f"has {len(document.records)} records, limit {MAX_ROWS}; cut it")
+    return document
 
 
 def _of_records(content: Any) -> StructuredDocument:
     return StructuredDocument(content, list(enumerate(_records(content, 0), 1)), "record")
 
 
-def _parsed(path: Path, text: str, line: int | None) -> Any:
+def _parse_json(path: Path, text: str, line: int | None) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -88,7 +88,7 @@ def _parsed(path: Path, text: str, line: int | None) -> Any:
         raise InputError.at(path, message, line=at) from error
 
 
-def _yaml(path: Path, text: str) -> Any:
+def _parse_yaml(path: Path, text: str) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -102,7 +102,7 @@ def _yaml(path: Path, text: str) -> Any:
 
 
 def _with_matrices(content: Any) -> Any:
-    """The same with OpenCV's matrices as lists of rows; one of a single row or column is a list."""
+    """The content with OpenCV's matrices as lists of rows, or as a list if one-dimensional."""
     if isinstance(content, list):
         return [_with_matrices(item) for item in content]
     if not isinstance(content, Mapping):
@@ -113,8 +113,8 @@ def _with_matrices(content: Any) -> Any:
     return {str(key): _with_matrices(item) for key, item in content.items()}
 
 
-def _xml(path: Path, text: str) -> StructuredDocument:
-    """Records of one tree, or of a log of many, whose last line may be torn."""
+def _parse_xml(path: Path, text: str) -> StructuredDocument:
+    """Records of one tree, or of a log of many, whose last line may be incomplete."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise InputError.at(path, "defines entities, which are not read; export plain XML")
     bare = _DECLARATION.sub("", text).rstrip()
@@ -122,8 +122,8 @@ def _xml(path: Path, text: str) -> StructuredDocument:
         try:
             return _of_records(_element(ElementTree.fromstring(f"<_>{bare}</_>")))
         except ElementTree.ParseError:
-            whole = bare.rpartition("\n")[0] or bare
-            return _of_records(_element(ElementTree.fromstring(f"<_>{whole}</_>")))
+            complete = bare.rpartition("\n")[0] or bare
+            return _of_records(_element(ElementTree.fromstring(f"<_>{complete}</_>")))
     except (ElementTree.ParseError, RecursionError) as error:
         line = getattr(error, "position", (1, 0))[0]
         raise InputError.at(path, f"is no XML ({error}); save it again", line=line) from error
@@ -134,8 +134,8 @@ def _element(element: ElementTree.Element) -> Any:
     children: dict[str, list[Any]] = {}
     for child in element:
         children.setdefault(child.tag.rpartition("}")[2], []).append(_element(child))
-    found = element.attrib | {k: v[0] if len(v) == 1 else v for k, v in children.items()}
-    return found or (element.text or "").strip() or None
+    entries = element.attrib | {k: v[0] if len(v) == 1 else v for k, v in children.items()}
+    return entries or (element.text or "").strip() or None
 
 
 def _records(content: Any, depth: int) -> list[Any]:
@@ -146,8 +146,8 @@ def _records(content: Any, depth: int) -> list[Any]:
         return []
     each = [c for c in content.values() if isinstance(c, dict)]
     alike = each if len({frozenset(c) for c in each}) == 1 and len(each) >= FEWEST_RECORDS else []
-    found = [_records(value, depth + 1) for value in content.values()]
-    return max([alike, *found], key=len)
+    nested = [_records(value, depth + 1) for value in content.values()]
+    return max([alike, *nested], key=len)
 
 
 def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
@@ -157,8 +157,8 @@ def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
     if isinstance(content, Mapping):
         for key, item in content.items():
             bare, unit = split_unit(name)
-            whole = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
-            yield from cells(item, depth + 1, whole.strip())
+            path = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
+            yield from cells(item, depth + 1, path.strip())
     elif isinstance(content, list):
         plain = all(item is None or isinstance(item, int | float) for item in content)
         axes = AXES.get(len(content), "") if plain else ""
@@ -177,9 +177,9 @@ def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
         yield CapturedColumn(*split_unit(name)), str(content) if value is None else value
 
 
-def _label(item: Any, place: int) -> str:
-    """What an entry of a list calls itself, else its place."""
+def _label(item: Any, index: int) -> str:
+    """Label of an entry of a list, else its index."""
     if not isinstance(item, Mapping):
-        return str(place)
-    said = (item[key] for key in _LABELS if key in item)
-    return str(next((s for s in said if isinstance(s, str | int)), place))
+        return str(index)
+    candidates = (item[key] for key in _LABELS if key in item)
+    return str(next((s for s in candidates if isinstance(s, str | int)), index))
