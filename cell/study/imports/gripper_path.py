@@ -21,13 +21,13 @@ from cell.study.imports.mapping import ReadMapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 from cell.study.imports.shape import lost_rows
 
-#: Of the cable's length: what each thing that is wrong with an accelerometer may do to the
-#: gripper's place, and the standard deviation of it that may be left.
+#: Limits relative to the cable's length: error of the gripper's position by each error source of an
+#: accelerometer, and standard deviation of the position.
 DRIFT, MOST_DRIFT = 1e-3, 0.02
-#: At rest a sensor shows gravity within this share, in this direction; or none, if it shows no
-#: constant acceleration.
-_AS_GRAVITY, _NONE, _ASIDE_RAD = 0.15, 0.05, 0.1
-#: A path needs no more samples than so many a second.
+#: Tolerances of gravity at rest: of its magnitude, of a sensor that does not show it (relative),
+#: and of its direction.
+_AS_GRAVITY, _NO_GRAVITY, _ASIDE_RAD = 0.15, 0.05, 0.1
+#: Maximum sampling rate of a path.
 _RATE_HZ = 2000.0
 
 
@@ -35,7 +35,7 @@ _RATE_HZ = 2000.0
 class GripperPath:
     """Gripping point (rows, 2), m, and clamp angle (rows,), rad; nan = not known.
 
-    drift  what the place may be wrong by; None = its rows show it
+    drift  error model of the position; None = it is measured directly
     """
 
     xy_m: FloatArray
@@ -49,7 +49,7 @@ def gripper_path(
 ) -> GripperPath:
     """The gripper of a trial.
 
-    capture  with the gripper, and t_s (rows,) its times on the study's clock
+    capture  file of the gripper; t_s (rows,) are its times on the study's clock
     raises   InputError: a column is missing, or acceleration cannot be integrated
     """
     mapping, hand = read.mapping, read.mapping.hand
@@ -58,10 +58,10 @@ def gripper_path(
     turned = mapping.axes if hand.acceleration is not None else axes  # those are the sensor's own
     angle_rad = clamp_angle_rad(capture, hand.angle, turned)
     if hand.turns is not None:
-        return _turned(read, entry, capture, t_s, angle_rad)
+        return _path_by_encoder(read, entry, capture, t_s, angle_rad)
     if hand.acceleration is not None:
         assert angle_rad is not None  # towards and follows are refused
-        return _integrated(read, entry, capture, t_s, angle_rad)
+        return _path_by_sensor(read, entry, capture, t_s, angle_rad)
     note = ""
     if hand.columns is not None:
         xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
@@ -77,8 +77,7 @@ def gripper_path(
 
 
 def _lost_rows_text(read: ReadMapping, entry: TrialEntry, capture: Capture) -> str:
-    """How many rows of the gripper are left out for its place is a value of `lost`; empty if
-    none."""
+    """Note on the gripper's rows excluded because of a value of `lost`; empty = none."""
     lost, columns = read.mapping.lost, read.mapping.hand.columns or []
     rows = lost_rows(capture.at([c for c in columns if c is not None]), lost, of_hand=True)
     if not rows.any():
@@ -91,7 +90,7 @@ def _lost_rows_text(read: ReadMapping, entry: TrialEntry, capture: Capture) -> s
     )
 
 
-def _turned(
+def _path_by_encoder(
     read: ReadMapping,
     entry: TrialEntry,
     capture: Capture,
@@ -129,14 +128,14 @@ def _turned(
     return GripperPath(xy_m, angle_rad, drift)
 
 
-def _integrated(
+def _path_by_sensor(
     read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray, angle_rad: FloatArray
 ) -> GripperPath:
     """The gripper of a trial by its accelerometer."""
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None
-    angle_rad = _between(t_s, angle_rad)
+    angle_rad = _interpolated(t_s, angle_rad)
     shown, measured = _specific_force(read, section, capture)
     known = np.isfinite(shown).all(axis=1) & np.isfinite(angle_rad)
     rows = np.flatnonzero(known)
@@ -159,20 +158,20 @@ def _integrated(
     ends_m = entry.hand_ends_at_m
     to_m = None if ends_m is None else (ends_m[0] - begins_m[0], ends_m[1] - begins_m[1])
     try:
-        found = integrated(sensed, DRIFT * cable_m, to_m, section.gain_std)
+        path = integrated(sensed, DRIFT * cable_m, to_m, section.gain_std)
     except NotIntegrableError as error:
         names = " and ".join(c for c in section.columns if c is not None)
         raise capture.error(int(rows[error.row]), f"{entry.name}: {error}", names) from error
     step = max(1, int(1.0 / (_RATE_HZ * sensed.step_s)))
     xy_m = np.full((len(t_s), 2), np.nan)
-    xy_m[rows[::step]] = begins_m + found.path_m[::step]
+    xy_m[rows[::step]] = begins_m + path.path_m[::step]
     return GripperPath(
-        xy_m, angle_rad, found.drift, _note(entry, capture, xy_m, t_s, found.drift, cable_m)
+        xy_m, angle_rad, path.drift, _note(entry, capture, xy_m, t_s, path.drift, cable_m)
     )
 
 
-def _between(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Angles (rows,) with those interpolated that were logged less often than acceleration."""
+def _interpolated(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Angles (rows,), interpolated where they were logged less often than acceleration."""
     known = np.isfinite(angle_rad)
     if not known.any():
         return angle_rad
@@ -185,20 +184,20 @@ def _specific_force(
     """(rows, 2) specific force along right and up, and which of the two is measured."""
     axes = read.mapping.hand.axes or read.mapping.axes
     unit = section.m_per_s2_per_unit or 1.0
-    seen = np.isfinite(places_m(capture, section.columns, axes, unit))
+    finite = np.isfinite(places_m(capture, section.columns, axes, unit))
     shown = places_m(capture, section.columns, axes, unit, unseen=0.0)
-    return shown, (bool(seen[:, 0].any()), bool(seen[:, 1].any()))
+    return shown, (bool(finite[:, 0].any()), bool(finite[:, 1].any()))
 
 
 def _check_gravity(read: ReadMapping, sensed: AccelerometerSamples) -> None:
-    """Raise InputError where what the sensor shows at rest is neither gravity nor nothing."""
+    """Raise InputError if the sensor's acceleration at rest is neither gravity nor zero."""
     gravity = float(np.hypot(*sensed.gravity))
     if not all(sensed.measured) or gravity == 0.0:
         return
     rest = sensed.specific_force[:REST_ROWS].mean(axis=0)
     size = float(np.hypot(*rest))
     key: Key = ("hand", "acceleration", "m_per_s2_per_unit")
-    if size < _NONE * gravity:
+    if size < _NO_GRAVITY * gravity:
         if np.ptp(sensed.angle_rad) > 1e-3:
             message = f"makes {size:.3g} m/s² at rest: the sensor does not show gravity, and it "
             raise read.error(key, f"{message}turns; take one that does, or set it up level")
@@ -206,7 +205,7 @@ def _check_gravity(read: ReadMapping, sensed: AccelerometerSamples) -> None:
     if abs(size - gravity) > _AS_GRAVITY * gravity:
         message = f"makes {size:.4g} m/s² at rest, limit {gravity:g} m/s² ± {_AS_GRAVITY:.0%}, or "
         raise read.error(
-            key, f"{message}less than {_NONE * gravity:.2g}; give 9.81 for g, 1 for m/s²"
+            key, f"{message}less than {_NO_GRAVITY * gravity:.2g}; give 9.81 for g, 1 for m/s²"
         )
     angle = float(sensed.angle_rad[0])
     x, y = -np.array(sensed.gravity) / gravity
@@ -227,7 +226,7 @@ def _note(
     entry: TrialEntry, capture: Capture, xy_m: FloatArray, t_s: FloatArray,
     drift: HandDrift | None, cable_m: float,
 ) -> str:  # fmt: skip
-    """What is known of an integrated place.  Raises InputError: too little."""
+    """Note on the accuracy of an integrated position.  Raises InputError: it is too low."""
     if drift is None:
         return f"{entry.name}: the acceleration shows no motion of the gripper"
     known = np.isfinite(xy_m).all(axis=1)
@@ -250,10 +249,10 @@ def _note(
     )
 
 
-#: Numbers are counts if they are whole multiples of one step, within this share of it.
-_WHOLE = 1e-3
-#: Whole numbers up to which double precision tells all of them apart.
-_MOST = 2.0**53
+#: Tolerance of integer multiples of a count, relative to it.
+_MULTIPLE_TOLERANCE = 1e-3
+#: Double precision represents all integers below this.
+_EXACT_INTEGERS = 2.0**53
 
 
 def count_of(values: FloatArray) -> float:
@@ -262,11 +261,11 @@ def count_of(values: FloatArray) -> float:
     if len(different) < 3:
         return 0.0
     steps = np.diff(different)
-    if np.all(different == np.round(different)) and np.abs(different).max() < _MOST:
+    if np.all(different == np.round(different)) and np.abs(different).max() < _EXACT_INTEGERS:
         return float(np.gcd.reduce(steps.astype(np.int64)))
     count = float(steps.min())
-    whole = np.abs(steps / count - np.round(steps / count)) < _WHOLE
-    return count if whole.all() and count > 1e-9 * float(np.abs(different).max()) else 0.0
+    is_multiple = np.abs(steps / count - np.round(steps / count)) < _MULTIPLE_TOLERANCE
+    return count if is_multiple.all() and count > 1e-9 * float(np.abs(different).max()) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +274,7 @@ class Turn:
 
     angle_rad  (rows,) nan = unknown
     count_rad  of one count; 0 = the numbers are no counts
-    moves      rows that show it leave its first and reach its last place; None = it does not move
+    moves      rows in which it leaves its first and reaches its last position; None = no motion
     """
 
     angle_rad: FloatArray
@@ -284,10 +283,10 @@ class Turn:
 
 
 def turn_of(capture: Capture, turns: TurnsSection) -> Turn:
-    """The turn that an encoder shows.
+    """Rotation angle measured by an encoder.
 
-    One that begins anew after a whole turn is followed over it.  Counts are dithered over their
-    width, so that what reads them sees the error that they have.
+    Single-turn encoders are unwrapped.  Counts are dithered over their width, so that estimates of
+    noise include the quantization error.
     source  Widrow & Kollár, Quantization Noise, 2008, ch. 19 (dither)
     raises  InputError: there is no such column
     """
@@ -297,15 +296,15 @@ def turn_of(capture: Capture, turns: TurnsSection) -> Turn:
     count_rad = count_of(values) * abs(unit)
     if not known.any():
         return Turn(angle, count_rad, None)
-    whole = np.unwrap(angle[known])
-    whole = whole - 2.0 * np.pi * np.round(whole[0] / (2.0 * np.pi))
-    away = [np.abs(whole - whole[end]) > 1.5 * count_rad for end in (0, -1)]
+    unwrapped = np.unwrap(angle[known])
+    unwrapped = unwrapped - 2.0 * np.pi * np.round(unwrapped[0] / (2.0 * np.pi))
+    away = [np.abs(unwrapped - unwrapped[end]) > 1.5 * count_rad for end in (0, -1)]
     rows = np.flatnonzero(known)
     moves = None
     if away[0].any() and away[1].any():
         moves = int(rows[np.argmax(away[0])]), int(rows[len(rows) - 1 - np.argmax(away[1][::-1])])
     dither = np.random.default_rng(len(rows)).uniform(-0.5, 0.5, len(rows))
-    angle[known] = whole + count_rad * dither * (moves is not None)
+    angle[known] = unwrapped + count_rad * dither * (moves is not None)
     return Turn(angle, count_rad, moves)
 
 

@@ -28,17 +28,17 @@ from cell.study.imports.scales import time_section
 from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths, reach_of
 from cell.study.imports.units import METRES, RADIANS
 
-#: m/s² that one of a unit is, and standard gravity within this share tells an unnamed one.
+#: m/s² per unit; an unstated unit is detected by standard gravity within this share.
 ACCELERATIONS = {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665}
-_WITHIN = 0.1
+_GRAVITY_SHARE = 0.1
 #: Rows in which a gripper rests at first.
 _REST = 20
 #: Words of a pose that was only commanded.
 _COMMANDED = frozenset(
     ("target", "commanded", "command", "cmd", "desired", "setpoint", "reference", "soll", "rsol")
 )
-#: Columns that are listed for a person to choose the gripper's.
-_LISTED = 24
+#: Maximum number of columns listed for the user to choose from.
+_MAX_LISTED = 24
 
 
 def sensor_section(
@@ -52,15 +52,15 @@ def sensor_section(
     """The gripper's section for an encoder or accelerometer, null where the user must fill it in.
 
     axes      of the markers
-    of_file   entries of the section that are of a file of its own
-    findings  those about it are added
+    of_file   entries of the section if the gripper has its own file
+    findings  extended by those about the gripper
     """
     if not inside.encoders:
         section = _by_acceleration(capture, inside, axes, root, findings)
     elif all(m.unit in METRES for _, m in inside.encoders):
         section = _linear(capture, inside, root, findings)
     else:
-        section = _turning(capture, inside, axes, root, findings)
+        section = _rotary(capture, inside, axes, root, findings)
     section = section.model_copy(update=of_file)
     for key, remedy in entries_to_fill_in(section):
         findings.wanted("hand", f"give {'.'.join(map(str, key))}: {remedy}")
@@ -70,7 +70,7 @@ def sensor_section(
 def _linear(
     capture: Capture, inside: Contents, root: Root, findings: ImportFindings
 ) -> GripperSection:
-    """Axes that move the gripper straight; null = it stays along this one."""
+    """Section of a gripper on linear axes; null = it does not move along this one."""
     by_axis = {m.axis or "x": name for name, m in reversed(inside.encoders)}
     columns: list[str | None] = [by_axis.get("x"), by_axis.get("y") or by_axis.get("z")]
     names = " and ".join(repr(c) for c in columns if c is not None)
@@ -82,11 +82,11 @@ def _linear(
     return GripperSection(columns=columns, axes=plane, metres_per_unit=unit, angle=angle)
 
 
-def _turning(
+def _rotary(
     capture: Capture, inside: Contents, axes: AxesSection, root: Root, findings: ImportFindings
 ) -> GripperSection:
-    name, said = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
-    unit = RADIANS.get(said.unit)
+    name, encoder = next((n, m) for n, m in inside.encoders if m.unit not in METRES)
+    unit = RADIANS.get(encoder.unit)
     turns = TurnsSection(column=name, radians_per_unit=unit, axle_m=None, radius_m=None)
     sentence = f"no place of the gripper is in {capture.path.name}: {name!r} tells how its arm "
     findings.guessed("hand", f"{sentence}turns")
@@ -102,13 +102,13 @@ def _turning(
 def _by_acceleration(
     capture: Capture, inside: Contents, axes: AxesSection, root: Root, findings: ImportFindings
 ) -> GripperSection:
-    """Which of the columns is up, by gravity at rest, and their unit."""
-    found: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
-    names = [n for n, _ in found]
+    """Section of an accelerometer; up and the unit are estimated by gravity at rest."""
+    channels: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
+    names = [n for n, _ in channels]
     columns: list[str | None] = [*names, *[None] * (2 - len(names))]
     rest = np.nanmedian(capture.at(names)[:_REST], axis=0)
     size = float(np.linalg.norm(rest))
-    unit, sure, why = _unit(found[0][1].unit, size)
+    unit, sure, why = _unit(channels[0][1].unit, size)
     shows_gravity = unit is None or size * unit > 0.5 * ACCELERATIONS["g"]
     own, shown = _axes(capture, names, rest, shows_gravity)
     sentence = f"no place of the gripper is in {capture.path.name}: it is integrated from "
@@ -122,11 +122,11 @@ def _by_acceleration(
 
 
 def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:
-    """m/s² a unit, how sure, and why; size at rest in the file's unit."""
+    """m/s² per unit, its certainty and the reason; size: magnitude at rest in the file's unit."""
     if stated in ACCELERATIONS:
         return ACCELERATIONS[stated], Sure.SAID, f"in {stated}, as the file says"
     for name, unit in ACCELERATIONS.items():
-        if abs(size * unit / ACCELERATIONS["g"] - 1.0) < _WITHIN:
+        if abs(size * unit / ACCELERATIONS["g"] - 1.0) < _GRAVITY_SHARE:
             return unit, Sure.GUESSED, f"in {name}: it is {size:.4g} at rest"
     return None, Sure.WANTED, f"in a unit that is not known: it is {size:.4g} at rest"
 
@@ -134,38 +134,38 @@ def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:
 def _axes(
     capture: Capture, names: list[str], rest: np.ndarray, shows_gravity: bool
 ) -> tuple[AxesSection, str]:
-    """The sensor's directions: up shows gravity at rest, right moves the most of the others."""
+    """Axes of the sensor: up shows gravity at rest, right moves most of the others."""
     count = max(2, len(names))
     right, up = np.zeros(count), np.zeros(count)
     k = int(np.argmax(np.abs(rest))) if shows_gravity else min(1, len(names) - 1)
     if len(names) == 1:
         k = 0 if shows_gravity else 1
     up[k] = np.sign(rest[k]) if shows_gravity else 1.0
-    moves = np.full(count, -1.0)
-    moves[: len(names)] = np.nanstd(capture.at(names), axis=0)
-    moves[k] = -2.0
-    other = int(np.argmax(moves))
-    right[other] = 1.0
+    spreads = np.full(count, -1.0)
+    spreads[: len(names)] = np.nanstd(capture.at(names), axis=0)
+    spreads[k] = -2.0
+    most_moving = int(np.argmax(spreads))
+    right[most_moving] = 1.0
     shown = names[k] if k < len(names) else "none of these"
     why = "it shows gravity at rest" if shows_gravity else "none shows gravity at rest"
     return AxesSection(right=right.tolist(), up=up.tolist()), f"up is {shown}: {why}"
 
 
-#: A gripper moves along one axis if it moves by less than this share of that across it.
+#: A gripper moves along one axis if it moves less than this share of that across the axis.
 _LEVEL = 0.02
-#: A chain from the gripper on is the cable's if it is longer than the free length by this share at
-#: most; where no unit is stated, and shorter by that.
+#: A chain from the gripper is the cable's if it is longer than the free length by at most the first
+#: share and, if no unit is stated, shorter by at most the second.
 TIP, _SHORTER = 0.02, 0.3
-#: Of a gripper's distances from its first place: what is beyond are single wrong rows.
-_MOST = 0.95
+#: Quantile of a gripper's distances from its initial position; rows beyond it are outliers.
+_OUTLIER_QUANTILE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
 class GripperFile:
     """A file of the gripper.
 
-    point    the gripping point; None = it has none
-    initial  (d,) where that rests at first, in the file's unit and axes; None = it never does
+    point    the gripping point; None = the file has none
+    initial  (d,) its initial position at rest, in the file's unit and axes; None = it never rests
     """
 
     capture: Capture
@@ -187,14 +187,14 @@ def gripper_file(capture: Capture) -> GripperFile:
 
 
 def _initial_place(places: FloatArray) -> FloatArray | None:
-    """(d,) where a point (rows, d) is until it moves; None if it does so from the first row on."""
-    seen = places[np.isfinite(places).all(axis=1)]
-    if len(seen) < FEWEST_REST:
+    """(d,) position of a point (rows, d) before it moves; None = it moves from the first row on."""
+    known = places[np.isfinite(places).all(axis=1)]
+    if len(known) < FEWEST_REST:
         return None
-    away = np.linalg.norm(seen - np.median(seen[:FEWEST_REST], axis=0), axis=1)
-    moves = away > AWAY * np.quantile(away, _MOST)
-    rests = int(np.argmax(moves)) if moves.any() else len(seen)
-    return np.asarray(np.median(seen[:rests], axis=0)) if rests >= FEWEST_REST else None
+    distances = np.linalg.norm(known - np.median(known[:FEWEST_REST], axis=0), axis=1)
+    is_moving = distances > AWAY * np.quantile(distances, _OUTLIER_QUANTILE)
+    rest_rows = int(np.argmax(is_moving)) if is_moving.any() else len(known)
+    return np.asarray(np.median(known[:rest_rows], axis=0)) if rest_rows >= FEWEST_REST else None
 
 
 #: Units of length of robots' logs.
@@ -204,12 +204,12 @@ _OWN_UNITS = ("m", "mm")
 def first_point(
     hand: GripperFile, shape: FloatArray, units: Set[str], free_length_m: float | None
 ) -> FloatArray | None:
-    """(d,) where the gripper rests, in the markers' unit, if both are in one frame; None if not.
+    """(d,) gripper at rest, in the markers' unit; None = it is not in the markers' frame.
 
-    They are if the chain from the gripper on is no longer than the cable.
+    It is if the chain from the gripper to the tip is no longer than the cable.
 
     shape   (points, d) of the markers at rest, from the gripper to the tip, in the file's unit
-    units   that the file states for them
+    units   that the markers' file states
     """
     point, rest = hand.point, hand.initial
     if free_length_m is None or point is None or rest is None or len(rest) != shape.shape[1]:
@@ -229,15 +229,14 @@ def first_point(
     return None
 
 
-#: A gripper that moves across the markers' plane by more than this share of its way has other axes.
+#: A gripper that moves across the markers' plane by more than this share of its span has own axes.
 _ACROSS = 0.2
-#: A gripper and the marker next to it rise alike within this share of their ways.
+#: Tolerance of the directions of the gripper and the nearest marker, relative to their spans.
 _RISES_ALIKE = 0.25
-#: Share of a record whose median is where a point is in the end.
-_LATE = 0.3
-#: The marker next to the gripper moves about as far as the gripper; so many times more or less is
-#: another unit.
-_AS_FAR = 5.0
+#: Final share of a record whose median is a point's final position.
+_FINAL_SHARE = 0.3
+#: The nearest marker moves about as far as the gripper; a ratio above this is another unit.
+_MAX_RATIO = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,12 +254,12 @@ class NearestMarker:
 
 
 def displacement(places: FloatArray) -> FloatArray:
-    """(d,) from where a point (rows, d) is at first to where it is in the end; 0 if not seen."""
-    seen = places[np.isfinite(places).all(axis=1)]
-    if not len(seen):
+    """(d,) from the initial to the final position of a point (rows, d); 0 if never detected."""
+    known = places[np.isfinite(places).all(axis=1)]
+    if not len(known):
         return np.zeros(places.shape[1])
-    late = seen[int((1.0 - _LATE) * len(seen)) :]
-    return np.asarray(np.median(late, axis=0) - np.median(seen[:FEWEST_REST], axis=0))
+    late = known[int((1.0 - _FINAL_SHARE) * len(known)) :]
+    return np.asarray(np.median(late, axis=0) - np.median(known[:FEWEST_REST], axis=0))
 
 
 def section_of_file(
@@ -272,17 +271,17 @@ def section_of_file(
     lasts_s: float | None,
     findings: ImportFindings,
 ) -> GripperSection:
-    """The section of a gripper with a file of its own; without a place where it tells none.
+    """The section of a gripper with its own file; without a position if the file has none.
 
-    nearest   None = the markers' unit or the gripper's place is not known
-    lasts_s   duration of the first trial by its markers; None = not known
-    findings  those about it are added
+    nearest   None = the markers' unit or the gripper's position is unknown
+    lasts_s   duration of the first trial by its markers; None = unknown
+    findings  extended by those about the gripper
     """
     capture, inside, point, file = hand.capture, hand.inside, hand.point, hand.capture.path.name
-    time, told = time_section(capture, inside, None, lasts_s)
+    time, time_finding = time_section(capture, inside, None, lasts_s)
     of_file: dict[str, Any] = {"text": TextSection.of(capture), "time": time}
     if point is None:
-        findings.append(told)
+        findings.append(time_finding)
         if inside.has_gripper_sensor:
             return sensor_section(capture, inside, axes, root, of_file, findings)
         findings.wanted(
@@ -291,7 +290,7 @@ def section_of_file(
             "that of its axle's encoder in hand.turns, or those of an accelerometer on it in "
             "hand.acceleration",
         )
-        columns = first_of(capture.names, _LISTED)
+        columns = first_of(capture.names, _MAX_LISTED)
         findings.seen("hand", f"columns of {file}: {columns}")
         return GripperSection(angle=AngleSection(), **of_file)
     findings.guessed("hand", f"{point.name!r} of {file} is the gripping point")
@@ -302,8 +301,8 @@ def section_of_file(
     elif nearest is not None and (own := _reversed_axes(axes, nearest)) is not None:
         sentence = "the gripper's file has its own axes: they are turned round, so that it and the "
         findings.guessed("hand.axes", f"{sentence}marker next to it move the same way")
-    unit, of_unit = _unit_of_place(point, scale, nearest)
-    findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (told, of_unit)]
+    unit, unit_finding = _unit_of_place(point, scale, nearest)
+    findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (time_finding, unit_finding)]
     angle = clamp_angle(capture, inside, own or axes, root, findings, point.name)
     return GripperSection(
         columns=list(point.columns), angle=angle, metres_per_unit=unit, axes=own, **of_file
@@ -313,37 +312,36 @@ def section_of_file(
 def _unit_of_place(
     point: Point, scale: float | None, nearest: NearestMarker | None
 ) -> tuple[float | None, Finding]:
-    """Metres a unit of the gripper's place; the marker next to it moves as far.
+    """Metres per unit of the gripper's position: it moves about as far as the nearest marker.
 
     scale  of the markers
     """
-    seen_m = 0.0 if nearest is None else reach(nearest.xy_m)
-    moves = 0.0 if nearest is None else reach(nearest.hand)
+    marker_m = 0.0 if nearest is None else reach(nearest.xy_m)
+    span = 0.0 if nearest is None else reach(nearest.hand)
     stated = METRES.get(point.unit)
     as_stated = Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
     names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
     tried = [u for u in (scale, *names) if u is not None]
-    fitting = [u for u in tried if moves > 0.0 and 1 / _AS_FAR < u * moves / seen_m < _AS_FAR]
-    if not moves > 0.0 or not seen_m > 0.0 or not fitting:
+    fitting = [u for u in tried if span > 0.0 and 1 / _MAX_RATIO < u * span / marker_m < _MAX_RATIO]
+    if not span > 0.0 or not marker_m > 0.0 or not fitting:
         if stated is not None:
             return stated, as_stated
         sentence = "its unit of length is taken as that of the markers"
         return scale, Finding("hand", sentence, Sure.GUESSED)
     unit = fitting[0]
-    said = f"in {names.get(unit, f'{unit:g} m')} it moves by {unit * moves:.3g} m, the marker next "
-    said += f"to it by {seen_m:.3g} m"
+    spans = f"in {names.get(unit, f'{unit:g} m')} it moves by {unit * span:.3g} m, the marker next "
+    spans += f"to it by {marker_m:.3g} m"
     if stated is None:
-        return unit, Finding("hand.metres_per_unit", f"{said}: so that is its unit", Sure.SEEN)
-    if 1 / _AS_FAR < stated * moves / seen_m < _AS_FAR:
+        return unit, Finding("hand.metres_per_unit", f"{spans}: so that is its unit", Sure.SEEN)
+    if 1 / _MAX_RATIO < stated * span / marker_m < _MAX_RATIO:
         return stated, as_stated
-    sentence = f"it says {point.unit}, and would move by {stated * moves:.3g} m, yet {said}; give "
+    sentence = f"it says {point.unit}, and would move by {stated * span:.3g} m, yet {spans}; give "
     sentence += f"hand.metres_per_unit: {unit:g}"
     return stated, Finding("hand.metres_per_unit", sentence, Sure.WANTED)
 
 
 def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
-    """Whether the gripper moves across the plane in which the markers move: then the axes of its
-    file are not those of the markers' file."""
+    """Whether the gripper moves across the markers' plane: then its file has other axes."""
     if nearest is None or len(axes.up) < 3:
         return False
     across = nearest.hand @ np.cross(axes.right, axes.up)
@@ -351,36 +349,36 @@ def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
 
 
 def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | None:
-    """The markers' axes, turned round where the gripper goes the other way along one than the
-    marker next to it, as of an image whose rows count down; None = both go the same way."""
+    """The markers' axes, reversed where the gripper moves opposite to the nearest marker, as in an
+    image whose rows count down; None = both move the same way."""
     plane = np.array([axes.right, axes.up])
-    goes = []
+    directions = []
     for path in (nearest.hand @ plane.T, nearest.xy_m):
-        seen = path[np.isfinite(path).all(axis=1)]
-        if len(seen) < 2 or not reach(seen) > 0.0:
+        known = path[np.isfinite(path).all(axis=1)]
+        if len(known) < 2 or not reach(known) > 0.0:
             return None
-        goes.append((seen[-1] - seen[0]) / reach(seen))
-    hand, marker = goes
-    other = (np.abs(hand) > _RISES_ALIKE) & (np.abs(hand + marker) < _RISES_ALIKE)
-    alike = np.abs(np.where(other, -hand, hand) - marker) < _RISES_ALIKE
-    if not other.any() or not alike.all():
+        directions.append((known[-1] - known[0]) / reach(known))
+    hand, marker = directions
+    opposite = (np.abs(hand) > _RISES_ALIKE) & (np.abs(hand + marker) < _RISES_ALIKE)
+    alike = np.abs(np.where(opposite, -hand, hand) - marker) < _RISES_ALIKE
+    if not opposite.any() or not alike.all():
         return None
-    right, up = np.where(other[:, None], -plane, plane) + 0.0
+    right, up = np.where(opposite[:, None], -plane, plane) + 0.0
     return AxesSection(right=right.tolist(), up=up.tolist())
 
 
 def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:
-    """Right and up along the columns of a gripper that are no markers' axes.
+    """Right and up along the columns of a gripper whose axes are not the markers' axes.
 
-    A robot's third axis is up, of motion capture perhaps the second: along it the gripper moves as
-    far as the marker next to it does.  Right is the level direction in which the gripper moves in
-    any of the trials, towards the same side as that marker.
+    Up is the third axis of a robot; in motion capture it may be the second, if the gripper rises
+    along it as the nearest marker does.  Right is the horizontal direction in which the gripper
+    moves in any of the trials, towards the same side as that marker.
     """
     if places.shape[1] == 2:
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
         return plane, "the gripper's file has its own axes: right and up are its first and second"
-    seen = places[np.isfinite(places).all(axis=1)]
-    span = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
+    known = places[np.isfinite(places).all(axis=1)]
+    span = np.ptp(known, axis=0) if len(known) else np.zeros(3)
     up = _up_axis(nearest)
     flat = [0, 3 - up]
     sentence = f"the gripper's file has its own axes: up is its {'second' if up == 1 else 'third'}"
@@ -394,13 +392,13 @@ def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSe
         return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
     if np.hypot(*span[flat]) <= _LEVEL * span[up]:
         return _plane_of(right, up), f"{sentence}; it only moves along that: right is its first"
-    level = seen[:, flat] - seen[:, flat].mean(axis=0)
+    level = known[:, flat] - known[:, flat].mean(axis=0)
     right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
     return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
 
 
 def _up_axis(nearest: NearestMarker | None) -> int:
-    """2, or 1 where only the second coordinate rises as much as the marker next to the gripper."""
+    """Index of the up axis: 2, or 1 if only that coordinate rises as much as the nearest marker."""
     if nearest is None:
         return 2
     hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
@@ -418,5 +416,5 @@ def _plane_of(right: FloatArray, up: int) -> AxesSection:
 
 
 def reach(places: FloatArray) -> float:
-    """Span of the middle 98 % of positions (rows, d); 0 if none is seen."""
+    """Span of the middle 98 % of positions (rows, d); 0 if none is detected."""
     return float(np.nan_to_num(reach_of(places, 0.01)))

@@ -18,7 +18,7 @@ Name = Annotated[str, Field(min_length=1)]
 Vector = Annotated[list[Finite], Field(min_length=2, max_length=3)]
 Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 
-#: Entries that say where the gripper is; `angle` is told in ways of its own.
+#: Alternative entries of the gripper's position; those of `angle` are separate.
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
 
 
@@ -30,13 +30,13 @@ class TextSection(SectionPart):
 
     @classmethod
     def of(cls, capture: Capture) -> TextSection | None:
-        """As a file is written; None = it is no text."""
+        """The form of a file; None = it is not a text."""
         form = capture.form
         return None if form is None else cls(separator=form.separator, decimal=form.decimal)
 
     @property
     def form(self) -> TextForm:
-        """As used."""
+        """The form for reading."""
         return TextForm(self.separator, self.decimal)
 
 
@@ -146,7 +146,7 @@ class GripperSection(SectionPart):
         return not known or bool(entries_to_fill_in(self))
 
     def standing_still(self) -> GripperSection:
-        """The same, fixed, for what can be shown without its path."""
+        """The section with a fixed gripper, to show trials without its path."""
         still = {"fixed_m": (0.0, 0.0), "angle": AngleSection(constant_rad=0.0)}
         return self.model_copy(update={**dict.fromkeys(WAYS), **still})
 
@@ -173,20 +173,20 @@ def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
 
 
 def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:
-    """Complaints about alternatives of which not exactly one is given."""
+    """Problems of alternatives of which not exactly one is given."""
     angle = hand.angle
-    given = [name for name in WAYS if getattr(hand, name) is not None]
-    if len(given) != 1:
-        message = f"{' and '.join(given) or 'nothing'} given; give one of: columns of the gripping "
+    named = [name for name in WAYS if getattr(hand, name) is not None]
+    if len(named) != 1:
+        message = f"{' and '.join(named) or 'nothing'} given; give one of: columns of the gripping "
         message += "point, fixed_m if it never moves, turns by an encoder of its axle, "
         yield ("hand",), f"{message}acceleration by a sensor on it"
     elif (columns := hand.along_columns) is not None and not any(columns):
         key: Key = ("hand", *(["acceleration"] if hand.acceleration else []), "columns")
         yield key, "are all null; name one, or give fixed_m instead"
     ways = ("constant_rad", "column", "quaternion", "towards", "follows")
-    told = [name for name in ways if getattr(angle, name) is not None]
-    if len(told) != 1:
-        message = f"{' and '.join(told) or 'nothing'} given; give one of {', '.join(ways)}"
+    angle_ways = [name for name in ways if getattr(angle, name) is not None]
+    if len(angle_ways) != 1:
+        message = f"{' and '.join(angle_ways) or 'nothing'} given; give one of {', '.join(ways)}"
         yield ("hand", "angle"), message
     elif angle.column is not None and angle.radians_per_unit is None:
         message = "is missing; give 0.0174533 for degrees, 1 for radians, "

@@ -19,7 +19,7 @@ from cell.study.imports.units import unit_of
 #: Arrays by their path within a file, the outermost name first.
 Tree = dict[tuple[str, ...], NDArray[Any]]
 
-#: Stands between a file and the part of it that is read, and between the names of the part.
+#: Separators between a file and its part, and between the names of the part.
 PART, WITHIN = "#", "."
 
 
@@ -36,11 +36,11 @@ class FilePart:
 
 
 def split_part(path: Path) -> tuple[Path, str]:
-    """A file that is there, and the part of it behind `#`; empty = all of it."""
-    whole, mark, part = path.name.partition(PART)
-    if not (mark and whole and part) or path.exists() or not path.with_name(whole).is_file():
+    """An existing file, and the part of it behind `#`; empty = the complete file."""
+    file, mark, part = path.name.partition(PART)
+    if not (mark and file and part) or path.exists() or not path.with_name(file).is_file():
         return path, ""
-    return path.with_name(whole), part
+    return path.with_name(file), part
 
 
 def with_part(path: Path, part: str) -> Path:
@@ -67,28 +67,28 @@ def _times(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]
 def apart_by_length(tree: Tree) -> Tree:
     """The arrays of groups with several times, each in a group with the times of its length.
 
-    It is called after what holds the cable, where an array in it is, else after its times.
+    Such a group is named after the gripper if one of its arrays is, else after its times.
     """
     times: dict[tuple[str, ...], dict[int, str]] = {}
     for *group, name in _times(tree):
         times.setdefault(tuple(group), {}).setdefault(tree[*group, name].size, name)
-    found: Tree = {}
+    grouped: Tree = {}
     for (*group, name), values in tree.items():
         of_length = times.get(tuple(group), {})
         length = next((n for n in values.shape if n in of_length), None)
         if len(of_length) < 2 or length is None:
-            found[*group, name] = values
+            grouped[*group, name] = values
             continue
-        beside = (k[-1] for k, v in tree.items() if k[:-1] == tuple(group) and length in v.shape)
-        title = next((n for n in beside if HAND & _words((n,))), of_length[length])
-        found[*group, title, name] = values
-    return found
+        members = (k[-1] for k, v in tree.items() if k[:-1] == tuple(group) and length in v.shape)
+        title = next((n for n in members if HAND & _words((n,))), of_length[length])
+        grouped[*group, title, name] = values
+    return grouped
 
 
 def within(tree: Tree, group: tuple[str, ...]) -> Tree:
-    """What a group holds, by its own names, with the single values and words of those around it.
+    """Arrays of a group by their names in it, with the scalars and texts of the groups around it.
 
-    Of groups within it that have their own times nothing is taken; a gripper's keeps its name.
+    Inner groups with their own times are excluded; a gripper's group keeps its name.
     """
     groups = time_groups(tree)
     inner = [g for g in groups if g != group and g[: len(group)] == group]
@@ -112,13 +112,13 @@ def within(tree: Tree, group: tuple[str, ...]) -> Tree:
 
 
 def _is_remark(values: NDArray[Any]) -> bool:
-    """Whether an array is a single value, or words."""
+    """Whether an array is a scalar, or text."""
     return np.squeeze(values).ndim == 0 or values.dtype.kind in "OUS"
 
 
 def trials_in(tree: Tree, shows_points: Callable[[tuple[str, ...]], bool]) -> list[FilePart] | None:
-    """The trials of a file whose groups have several times; empty = it is one; None = it cannot
-    be told which group is what.
+    """The trials of a file with several groups with times; empty = the file is one trial; None =
+    the groups are ambiguous.
 
     shows_points  whether a group holds points
     """
@@ -147,29 +147,28 @@ def group_of(tree: Tree, part: str) -> tuple[str, ...] | None:
 def _pairs(
     markers: Sequence[tuple[str, ...]], hands: Sequence[tuple[str, ...]]
 ) -> list[tuple[str, ...]] | None:
-    """The gripper's group of each of the markers', by the names that both have; None = they do
-    not pair."""
+    """The gripper's group of each of the markers' groups, by common names; None = no pairing."""
     if not hands:
         return [()] * len(markers)
     if len(markers) == len(hands) == 1:
         return list(hands)
-    found: list[tuple[str, ...]] = []
+    pairs: list[tuple[str, ...]] = []
     for group in markers:
         fitting = [h for h in hands if _words(h) - HAND <= _words(group)]
-        if len(fitting) != 1 or fitting[0] in found:
+        if len(fitting) != 1 or fitting[0] in pairs:
             return None
-        found += fitting
-    return found if len(found) == len(hands) else None
+        pairs += fitting
+    return pairs if len(pairs) == len(hands) else None
 
 
 def _structure(tree: Tree, group: tuple[str, ...]) -> frozenset[tuple[tuple[str, ...], int]]:
     """Names and dimensions of a group's series."""
-    found = ((key, np.squeeze(values)) for key, values in within(tree, group).items())
-    return frozenset((key, v.ndim) for key, v in found if v.ndim and v.dtype.kind in "fiub")
+    series = ((key, np.squeeze(values)) for key, values in within(tree, group).items())
+    return frozenset((key, v.ndim) for key, v in series if v.ndim and v.dtype.kind in "fiub")
 
 
 def _name(group: tuple[str, ...], groups: Sequence[tuple[str, ...]]) -> str:
-    """Names of a group that others do not have; those of all, if it is alone."""
+    """Names of a group that not all groups have; empty for a single group."""
     if len(groups) < 2:
         return ""
     common = set.intersection(*(set(g) for g in groups))
@@ -191,21 +190,21 @@ Words = Mapping[tuple[str, ...], Sequence[str]]
 
 
 def labels(key: tuple[str, ...], shape: Sequence[int], words: Words) -> Sequence[str] | None:
-    """Names of points, or of columns, that stand in the same group as an array; None = none do."""
-    texts = {k[-1]: found for k, found in words.items() if k[:-1] == key[:-1]}
-    if (told := _described(key[-1], shape, texts)) is not None:
-        return told
-    for name, found in texts.items():
+    """Names of an array's points or columns, by texts in its group; None = there are none."""
+    texts = {k[-1]: names for k, names in words.items() if k[:-1] == key[:-1]}
+    if (described := _names_in_sentence(key[-1], shape, texts)) is not None:
+        return described
+    for name, names in texts.items():
         if not LABELS.fullmatch(name.lower()):
             continue
-        if len(found) == 1 and len(shape) > 1 and (several := _in_one(found[0], shape[1])):
+        if len(names) == 1 and len(shape) > 1 and (several := _names_in_text(names[0], shape[1])):
             return several
-        if len(found) in shape or (len(found) == 1 and len(shape) > 1):
-            return found
+        if len(names) in shape or (len(names) == 1 and len(shape) > 1):
+            return names
     return None
 
 
-def _in_one(text: str, count: int) -> list[str] | None:
+def _names_in_text(text: str, count: int) -> list[str] | None:
     """So many names in one text, with their units: `x y pitch [m m rad]`, `x, y [mm]`."""
     if count < 2:
         return None
@@ -221,19 +220,19 @@ def _in_one(text: str, count: int) -> list[str] | None:
     return [f"{n} [{u}]" for n, u in zip(names, units, strict=True)] if known else names
 
 
-def _described(
+def _names_in_sentence(
     name: str, shape: Sequence[int], texts: Mapping[str, Sequence[str]]
 ) -> list[str] | None:
     """Names of columns in a sentence such as `grip = [x y theta], theta in deg`."""
     listed = re.compile(rf"(?<!\w){re.escape(name)}\s*[:=]\s*[\[({{]([^\])}}]*)[\])}}]")
-    for found in texts.values():
-        text = found[0] if len(found) == 1 else ""
+    for text_values in texts.values():
+        text = text_values[0] if len(text_values) == 1 else ""
         if len(shape) != 2 or not (match := listed.search(text)):
             continue
         names = [word for word in _BETWEEN.split(match[1]) if word]
         if len(names) != shape[1]:
             continue
         of_each = {n: re.search(rf"(?<!\w){re.escape(n)}\s+in\s+([^\s,;.]+)", text) for n in names}
-        units = {n: unit_of(said[1]) for n, said in of_each.items() if said}
+        units = {n: unit_of(unit_match[1]) for n, unit_match in of_each.items() if unit_match}
         return [f"{n} [{units[n]}]" if units.get(n) else n for n in names]
     return None

@@ -16,12 +16,12 @@ from cell.study.imports.units import METRES, unit_of
 
 Lines = Sequence[tuple[int, tuple[str, ...]]]
 
-#: Rows of a header that say what kind of thing a column is or who its parent is, not its name.
+#: Rows of a header with the type or the parent of a column, not its name.
 _NO_NAMES = frozenset(("type", "id", "parent"))
 _AXES = frozenset(("", "x", "y", "z"))
 _RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|frequency|freq|fps)\b")
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
-#: Characters of a unit that is not known here.
+#: Maximum number of characters of an unknown unit.
 _LONGEST_UNIT = 4
 _MARKER_NAMES = re.compile(r"marker_?names")
 
@@ -44,7 +44,7 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
 
     lines   number and cells of each
     row     cells of the table's first row
-    raises  InputError: there are no names, not as many as columns, or one is given twice
+    raises  InputError: there are no names, not as many as columns, or one is repeated
     """
     width = len(row)
     rows = [(line, _without_remark(cells)) for line, cells in lines]
@@ -53,10 +53,10 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
     units = [""] * width
     naming = list(rows)
     for at in reversed(range(len(naming))):
-        if (found := _units_row(naming[at][1], width)) is not None:
-            below = naming[at + 1 :]  # what measured, unless it is the axes
+        if (row_units := _units_row(naming[at][1], width)) is not None:
+            below = naming[at + 1 :]  # names of sensors, unless they are axes
             axes = [row for row in below if _AXES.issuperset(c.strip().lower() for c in row[1])]
-            units, naming = found, naming[:at] + axes if naming[:at] else below
+            units, naming = row_units, naming[:at] + axes if naming[:at] else below
             break
     names, line = _names(path, naming, row)
     names = _with_name_of_index(naming, names)
@@ -84,46 +84,46 @@ def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _units_row(cells: Sequence[str], width: int) -> list[str] | None:
-    """Units of the columns, where a row holds nothing else."""
-    fitted = _fitted(cells, width)
-    if fitted is None:
+    """Units of the columns, if a row holds only units; else None."""
+    padded = _padded(cells, width)
+    if padded is None:
         return None
-    filled = [c.strip() for c in fitted if c.strip() and c.strip() != "-"]
-    found = [unit_of(c) for c in fitted]
-    others = [c for c in filled if not unit_of(c)]  # of channels that no study has, as °C
-    are_units = len(filled) > 2 * len(others) and all(len(c) <= _LONGEST_UNIT for c in others)
-    return found if are_units else None
+    filled = [c.strip() for c in padded if c.strip() and c.strip() != "-"]
+    units = [unit_of(c) for c in padded]
+    unknown = [c for c in filled if not unit_of(c)]  # of channels that no study has, as °C
+    are_units = len(filled) > 2 * len(unknown) and all(len(c) <= _LONGEST_UNIT for c in unknown)
+    return units if are_units else None
 
 
 def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]:
-    """Names of columns, joined from as few of the lowest lines as tell them apart."""
+    """Names of columns, joined from as few of the lowest lines as make them unique."""
     width = len(row)
     last = rows[-1][0] if rows else 1
     parts: list[list[str]] = []
     kinds: list[list[str]] = []
-    apart = False
+    unique = False
     for _, cells in reversed(rows[-8:]):
         if not parts and width > 2 and sum(bool(c.strip()) for c in cells) == 1:
             continue  # a word alone above the table is no line of names
-        fitted = _fitted(cells, width)
-        if fitted is None or (not parts and len(cells) < width):
+        padded = _padded(cells, width)
+        if padded is None or (not parts and len(cells) < width):
             break
-        words = [c.strip() for c in fitted]
-        told_apart = not parts and len(set(words)) == width  # by a name such as `id` among others
-        if any(w.lower() in _NO_NAMES for w in words[:2]) and not told_apart:
+        words = [c.strip() for c in padded]
+        distinct = not parts and len(set(words)) == width  # by a name such as `id` among others
+        if any(w.lower() in _NO_NAMES for w in words[:2]) and not distinct:
             kinds.append(words)
             continue
-        if apart and words[0]:  # no line of groups, which is empty over the frames' numbers
+        if unique and words[0]:  # no line of groups, which is empty over the frames' numbers
             break
         if parts:
-            words = _carried(["" if w.lower() == "name" else w for w in words[:2]] + words[2:])
+            words = _forward_fill(["" if w.lower() == "name" else w for w in words[:2]] + words[2:])
         parts.insert(0, words)
         names = _joined(parts)
-        if apart:
+        if unique:
             break
-        named = (any(said) for said in zip(*parts, strict=True))
-        apart = all(n or not c.strip() for n, c in zip(named, row, strict=True))
-        apart = apart and len(set(names)) == width
+        named = (any(column) for column in zip(*parts, strict=True))
+        unique = all(n or not c.strip() for n, c in zip(named, row, strict=True))
+        unique = unique and len(set(names)) == width
     if len(parts) == 1:
         parts = [_of_bodies(parts[0])]
     if parts:
@@ -145,7 +145,7 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
 
 
 def _with_name_of_index(rows: Lines, names: list[str]) -> list[str]:
-    """Names with that of the first column, where it alone stands in the last of several lines.
+    """Names with the first column's from the last of several lines, if that has no other name.
 
     As pandas writes an index below the levels of its columns, whose names stand above it.
     """
@@ -166,8 +166,8 @@ def _of_markers(path: Path, line: int, cells: Sequence[str], width: int) -> list
     return [*before, *(f"{m} {axis}" for m in markers for axis in "XYZ")]
 
 
-def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
-    """Cells of a line as many as there are columns; None if it names more or far fewer."""
+def _padded(cells: Sequence[str], width: int) -> list[str] | None:
+    """Cells of a line, padded to the number of columns; None if it has more or far fewer."""
     filled = list(cells)
     while filled and not filled[-1].strip() and len(filled) > width:
         filled.pop()
@@ -179,16 +179,16 @@ def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
     return filled + [""] * (width - len(filled))
 
 
-def _carried(words: Sequence[str]) -> list[str]:
-    """A group's name stands over its first column only: carried on to the others."""
-    carried, last = [], ""
+def _forward_fill(words: Sequence[str]) -> list[str]:
+    """Words with a group's name, which is over its first column only, copied to the others."""
+    filled, last = [], ""
     for word in words:
         last = word or last
-        carried.append(last)
-    return carried
+        filled.append(last)
+    return filled
 
 
-#: What Qualisys writes of a body behind its x, which alone has the body's name.
+#: Columns of a Qualisys body after its x, which alone has the body's name.
 _OF_BODY = re.compile(r"[yz]|roll|pitch|yaw|residual|rot\[\d]", re.IGNORECASE)
 
 
@@ -207,7 +207,7 @@ def _of_bodies(names: Sequence[str]) -> list[str]:
 
 
 def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
-    """Names of columns; of those that are there twice, with what the lines of kinds say of them.
+    """Names of columns; repeated ones are completed by the words of the lines of kinds.
 
     A body's marker and the same one by itself have one name in some programs.
     """
@@ -215,7 +215,7 @@ def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]
     for words in reversed(kinds):
         names = [
             f"{name} {word}" if names.count(name) > 1 and word else name
-            for name, word in zip(names, _carried(words), strict=True)
+            for name, word in zip(names, _forward_fill(words), strict=True)
         ]
     return names
 
@@ -231,11 +231,11 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
     for _, cells in rows:
         words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
         for key, value in pairwise(words):
-            said = number(value.split()[0], ".") if value.split() else None
-            if not _RATE.match(key.lower()) or said is None or not said > 0.0:
+            stated = number(value.split()[0], ".") if value.split() else None
+            if not _RATE.match(key.lower()) or stated is None or not stated > 0.0:
                 pass
             elif rate_hz is None or key.lower().startswith("export"):  # others are of the cameras
-                rate_hz = said
+                rate_hz = stated
             if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
                 unit = unit_of(value)
     in_remarks, its_unit = stated_in_remarks(rows)
@@ -284,30 +284,30 @@ def without_properties(lines: Sequence[str], separator: str) -> list[str]:
 
 #: `A. Time (sec)`, `ch1: tip x [mm]`.
 _ENTRY = re.compile(r"[\s#%]*([A-Za-z]{0,3}\d*)\s*[.:=)]\s+(\S.*?)[\s,;]*")
-#: Lines in which the list and the names stand, and fewest columns.
+#: Lines that are searched for the list and the names, and fewest columns.
 _MOST_LINES, _FEWEST = 300, 3
 _UNIT = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 
 def with_legend(lines: Sequence[str], separator: str) -> list[str]:
-    """As many lines, with the names that a list gives in place of letters."""
-    said: dict[str, str] = {}
+    """The lines, with the letters of a line of names replaced by the names of a list."""
+    legend: dict[str, str] = {}
     for i, line in enumerate(lines[:_MOST_LINES]):
         cells = [cell.strip() for cell in split_line(line, separator)]
         while cells and not cells[-1]:
             cells.pop()
-        if len(cells) >= _FEWEST and len(set(cells)) == len(cells) and set(cells) <= set(said):
-            names = _without_common([said[cell] for cell in cells])
+        if len(cells) >= _FEWEST and len(set(cells)) == len(cells) and set(cells) <= set(legend):
+            names = _without_common([legend[cell] for cell in cells])
             joint = "\t" if separator == " " else separator
             quoted = [f'"{n}"' if separator in n and separator != " " else n for n in names]
             return [*lines[:i], joint.join(quoted), *lines[i + 1 :]]
-        if (found := _ENTRY.fullmatch(line)) and found[1]:
-            said[found[1]] = found[2]
+        if (entry := _ENTRY.fullmatch(line)) and entry[1]:
+            legend[entry[1]] = entry[2]
     return list(lines)
 
 
 def _without_common(names: Sequence[str]) -> list[str]:
-    """Names without what all those with dots have before the first and behind the last of them."""
+    """Names without the first and the last part that all dotted names have in common."""
     dotted = [_UNIT.sub("", n).strip(".").split(".") for n in names if "." in _UNIT.sub("", n)]
     if len(dotted) < _FEWEST:
         return list(names)
