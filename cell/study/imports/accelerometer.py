@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from cell.cable.arrays import FloatArray
 from cell.study.hand_drift import HandDrift
 
-#: A rest is at least so many rows and so many seconds.
+#: Minimum number of rows and duration of a rest.
 REST_ROWS, REST_S = 10, 0.05
 #: Motion: the mean over so many seconds differs by so many standard deviations from that at rest.
 _MEAN_S, _MOTION_SIGMAS = 0.02, 7.0
@@ -30,7 +30,7 @@ SIGNIFICANT = 4.0
 #: Saturation: so many consecutive equal rows at an end of the range, after a step of so many digits
 #: and of this share of the range.
 SATURATED_ROWS, _SATURATED_STEP, _STEP_SHARE = 4, 3.0, 1e-3
-#: Samples of a motion may be so many usual steps apart.
+#: Largest gap between samples of a motion, in median sampling intervals.
 _MAX_GAP = 3.0
 #: Low-frequency noise is estimated from the means of so many blocks of a rest.
 _BLOCKS = 10
@@ -234,7 +234,7 @@ class _SensedMotion:
         return self._path(1)
 
     def _path(self, every: int) -> FloatArray:
-        """(T, 2) path by every so many samples, velocity 0 at both ends of the motion."""
+        """(T, 2) path from every n-th sample, velocity 0 at both ends of the motion."""
         t_s = self.sensed.t_s
         at_s = t_s[self.begin : self.end + 1 : every]
         if at_s[-1] < t_s[self.end]:
@@ -298,7 +298,7 @@ class _SensedMotion:
             )
 
     def check_velocity(self) -> None:
-        """Check that the gripper stops, within what noise explains."""
+        """Check that the final velocity is 0 within the noise."""
         rows, moved_s = slice(self.begin, self.end + 1), self._moved_s
         ends = np.trapezoid(self._outer[rows], self.sensed.t_s[rows], axis=0)
         rest_s = (len(self._outer) - self.end + self.begin) * self.sensed.step_s

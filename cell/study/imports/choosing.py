@@ -71,7 +71,7 @@ def choose(
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the gripper
         named, cable = named[:1], named[1:]
-    cable, still = _moving(_labeled(cable, findings), raw, findings)
+    cable, fixed = _moving(_labeled(cable, findings), raw, findings)
     if not cable:
         raise capture.error(
             0, "shows no point that moves besides the gripper; give the cable's markers"
@@ -83,7 +83,7 @@ def choose(
         hand, second = _gripper_points(named, cable, raw, inside)
         if hand is not None:
             findings.guessed("hand", f"{hand.name!r} is the gripping point, by its name")
-        elif (hand := still) is not None:
+        elif (hand := fixed) is not None:
             sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
             findings.guessed("hand", sentence)
     if hand is None and not hand_elsewhere:

@@ -142,7 +142,7 @@ def meaning(column: CapturedColumn) -> Meaning:
 #: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
 _AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
 _NUMBER_AT_END = re.compile(r"(.*\w)(?:_|\[)([0-3])\]?")
-#: Kinds of columns whose numbers may be those of an array, if nothing else names their axes.
+#: Kinds of columns whose final number may be an axis, if nothing else names the axis.
 _MAYBE_NUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 _QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
 _NUMBERED_AXES = {

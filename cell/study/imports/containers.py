@@ -289,7 +289,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     rows = max(lengths, key=lambda n: (lengths[n], n))
     if rows > MAX_ROWS:
         raise InputError.at(path, f"has {rows} rows, limit {MAX_ROWS}; cut it to the motion")
-    words = {key: [cell_text(v) for v in value.ravel()] for key, value in arrays.items()
+    texts = {key: [cell_text(v) for v in value.ravel()] for key, value in arrays.items()
              if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
     _check_one_trial(path, tree)
     columns: list[CapturedColumn] = []
@@ -301,7 +301,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
             continue
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
-        for name, column in _columns(key, values, labels(key, values.shape, words)):
+        for name, column in _columns(key, values, labels(key, values.shape, texts)):
             columns.append(CapturedColumn(name, units.get(key, "")))
             series.append(column)
     notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
@@ -310,13 +310,13 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
         for key, value in arrays.items()
         if value.dtype == object and not value.size
     ]
-    made = Capture(
+    capture = Capture(
         path, tuple(_distinct(columns)), np.column_stack(series), np.arange(1, rows + 1),
-        _rate_hz(arrays), _unit(words), notes=tuple(notes), of_cable=_of_cable(arrays),
+        _rate_hz(arrays), _unit(texts), notes=tuple(notes), of_cable=_of_cable(arrays),
         counted="row",
     )  # fmt: skip
-    of_rows = {_name(k): w for k, w in words.items() if len(w) == rows}
-    return pivoted(made, of_rows)
+    of_rows = {_name(k): w for k, w in texts.items() if len(w) == rows}
+    return pivoted(capture, of_rows)
 
 
 def _name(key: tuple[str, ...]) -> str:

@@ -18,7 +18,7 @@ from cell.study.imports.column_names import (
 )
 from cell.study.imports.units import RADIANS, SECONDS
 
-#: Words for what holds a cable.
+#: Words for a gripper or another holder of the cable.
 HAND = frozenset(
     ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
      "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
@@ -157,12 +157,12 @@ def on_one_clock(inside: Contents, capture: Capture, other: Contents, of: Captur
     return replace(inside, time=since[0].name, time_unit=meaning(since[0]).unit, counts=False)
 
 
-def _since_1970(capture: Capture, name: str, named: Meaning) -> tuple[str, Meaning]:
+def _since_1970(capture: Capture, name: str, by_name: Meaning) -> tuple[str, Meaning]:
     """A column, classified as time if its values are times since 1970."""
-    of_no_kind = named.kind in (ColumnKind.FRAME, ColumnKind.OTHER) and not named.unit
+    of_no_kind = by_name.kind in (ColumnKind.FRAME, ColumnKind.OTHER) and not by_name.unit
     if of_no_kind and epoch_unit(capture.column(name)):
-        named = replace(named, kind=ColumnKind.TIME)
-    return name, named
+        by_name = replace(by_name, kind=ColumnKind.TIME)
+    return name, by_name
 
 
 def with_names(
@@ -241,10 +241,10 @@ def _accelerations(
     return tuple(sorted(((n, m) for n, m in columns if m.group == chosen), key=lambda f: f[1].axis))
 
 
-def _counts_rows(capture: Capture, name: str, named: Meaning) -> bool:
+def _counts_rows(capture: Capture, name: str, by_name: Meaning) -> bool:
     """Whether a first column without a meaning counts frames, of which few are missing."""
     steps = np.diff(capture.column(name))
-    if named.kind is not ColumnKind.OTHER or named.unit or not len(steps):
+    if by_name.kind is not ColumnKind.OTHER or by_name.unit or not len(steps):
         return False
     is_integer = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
     return is_integer and bool(np.median(steps) == 1.0 and steps.mean() < _MEAN_STEP)

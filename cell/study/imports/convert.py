@@ -80,7 +80,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         except InputError as error:
             problems += error.problems
             continue
-        refusals, remarks = _checked_trial(measured, cable, arcs[order], mapping.gravity_m_per_s2)
+        refusals, remarks = _check_trial(measured, cable, arcs[order], mapping.gravity_m_per_s2)
         problems += refusals
         notes += [*measured.notes, *remarks]
         trials.append(measured.trial)
@@ -125,7 +125,7 @@ class _ImportedTrial:
         return self.capture.problem(row, sentence, failure.column)
 
 
-def _checked_trial(
+def _check_trial(
     measured: _ImportedTrial, cable: Cable, arcs: FloatArray, gravity: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
     """Problems for which a trial is refused, and notes on it."""
@@ -181,7 +181,7 @@ def trials_of(
     """Trials that can be shown with an incomplete mapping, and the problems of the others.
 
     Lengths are in the file's unit where the mapping lacks metres_per_unit, and times likewise.  A
-    gripper whose path is still unknown stands still.
+    gripper with an unknown path does not move.
     """
     # A proposal has the marker at the gripper first.
     order = np.arange(len(read.mapping.markers))[::-1]
@@ -376,8 +376,8 @@ def _check_unit(read: ReadMapping, trial: Trial, arcs: FloatArray) -> None:
     mapping, at_m = read.mapping, trial.gripper_m(trial.markers.t_s)
     chain = np.concatenate([trial.markers.xy_m, at_m[:, None]], axis=1)
     hand = mapping.hand
-    elsewhere = hand.origin_m != (0.0, 0.0) or hand.axes is not None
-    if elsewhere or hand.turns is not None or hand.acceleration is not None:
+    own_frame = hand.origin_m != (0.0, 0.0) or hand.axes is not None
+    if own_frame or hand.turns is not None or hand.acceleration is not None:
         chain = chain[:, :-1]
     steps = np.linalg.norm(np.diff(chain, axis=1), axis=2)
     good = np.isfinite(steps).any(axis=0)

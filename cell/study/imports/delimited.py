@@ -56,7 +56,7 @@ from cell.study.imports.text_rows import (
 from cell.study.imports.vector_cells import with_single_cells
 from cell.study.table import MAX_ROWS
 
-#: In the order in which they are preferred; a blank stands for any number of blanks.
+#: In order of preference; a blank stands for any number of blanks.
 SEPARATORS = (",", ";", "\t", "|", " ")
 DECIMALS: tuple[Decimal, ...] = (".", ",")
 #: Lines from which the form of a text is detected, and how many of these are sampled.
@@ -69,7 +69,7 @@ _BLANKS = 0.95
 _OF_FORM = 0.5
 #: Minimum number of cells of a word that means a missing value.
 _FEWEST_MISSING = 2
-#: Headers of motion capture have a dozen lines; what begins later is no table.
+#: Maximum number of header lines; those of motion capture have a dozen.
 _MOST_HEADER = 200
 
 
@@ -258,27 +258,27 @@ def _raw_table(
     below  numbers of the lines that follow; None = there are none.  It is an error if they do not
            go on with the table
     """
-    rows, again = without_repeats(path, rows, form.decimal)
-    rows, words = without_comments(path, rows, form.decimal)
+    rows, row_notes = without_repeats(path, rows, form.decimal)
+    rows, comment_notes = without_comments(path, rows, form.decimal)
     first, last = _block(path, rows, form)
     table = _without_end(rows[:first], rows[first:last])
     if form.separator != ",":  # where it may be a decimal mark
         table, numbered = without_row_names(path, rows[:first], table)
-        again += numbered
+        row_notes += numbered
     header = read_header(path, [(r.line, r.cells) for r in rows[:first]], table[0].cells)
-    made, labels = captured(path, header, table, form.decimal)
+    capture, labels = captured(path, header, table, form.decimal)
     if below is not None:
-        if last < len(rows) or labels or len(made.columns) != below.shape[1]:
+        if last < len(rows) or labels or len(capture.columns) != below.shape[1]:
             raise InputError.at(path, "another table begins; read it apart", line=rows[-1].line)
-        lines = np.append(made.lines, made.lines[-1] + 1 + np.arange(len(below)))
-        made = replace(made, values=np.vstack([made.values, below]), lines=lines)
+        lines = np.append(capture.lines, capture.lines[-1] + 1 + np.arange(len(below)))
+        capture = replace(capture, values=np.vstack([capture.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
     begins = "another table begins here; it is not read"
     if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
-    notes = [*made.notes, *again, *words, *notes]
-    return replace(made, form=form, notes=tuple(notes)), labels
+    notes = [*capture.notes, *row_notes, *comment_notes, *notes]
+    return replace(capture, form=form, notes=tuple(notes)), labels
 
 
 def captured(
@@ -304,9 +304,9 @@ def captured(
         if numeric[c]
     )
     lines = np.array([row.line for row in table], dtype=np.intp)
-    made = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
-    made = replace(made, pixel_m=header.pixel_m)
-    return made, labels
+    capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
+    capture = replace(capture, pixel_m=header.pixel_m)
+    return capture, labels
 
 
 def text_form(text: str) -> TextForm:
@@ -354,7 +354,7 @@ def _check_form(path: Path, text: str, form: TextForm) -> None:
 def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     """First row of the table, and the row after its last.
 
-    raises  InputError: there is none, or a row in it is something else
+    raises  InputError: there is none, or a line within it is no row of numbers
     """
     data = [len(r.cells) >= 2 and r.is_data(form.decimal) for r in rows]
     for i in range(1, len(rows)):  # also rows of words whose numbers are all missing

@@ -114,7 +114,7 @@ class AngleSection(SectionPart):
 
 
 class GripperSection(SectionPart):
-    """The gripping point.  What is not given here is as for the markers.
+    """The gripping point.  Missing entries are as for the markers.
 
     columns    of the gripping point, null = it stays at its origin along this one; or
     fixed_m    it never moves, in the study's frame; or

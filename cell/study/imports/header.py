@@ -194,16 +194,16 @@ _OF_BODY = re.compile(r"[yz]|roll|pitch|yaw|residual|rot\[\d]", re.IGNORECASE)
 
 def _of_bodies(names: Sequence[str]) -> list[str]:
     """Names with that of their body, where `Gripper X` is followed by `Y`, `Z`, `Roll`, …"""
-    made, body = [], ""
+    full_names, body = [], ""
     for i, name in enumerate(names):
         begins = re.fullmatch(r"(.+)[ _]x", name, re.IGNORECASE)
         if begins and [n.lower() for n in names[i + 1 : i + 3]] == ["y", "z"]:
             body = begins[1]
-            made.append(name)
+            full_names.append(name)
             continue
         body = body if _OF_BODY.fullmatch(name) else ""
-        made.append(f"{body} {name}".strip())
-    return made
+        full_names.append(f"{body} {name}".strip())
+    return full_names
 
 
 def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]) -> list[str]:
@@ -261,25 +261,25 @@ _UNITS, _STEP = "Y_Unit_Label", "Delta_X"
 def without_properties(lines: Sequence[str], separator: str) -> list[str]:
     """Lines of LabVIEW's text without the rows of properties above its table's names.
 
-    As many lines, so that numbers of lines stay right; the units stand below the names.
+    The number of lines is kept, so that line numbers stay right; units are below the names.
     """
-    made = list(lines)
-    ends = [i for i, line in enumerate(made) if line.startswith(_END_OF_HEADER)]
-    if len(ends) != 2 or ends[1] + 1 >= len(made):  # several tables keep their headers
-        return made
-    end, names = ends[1], made[ends[1] + 1]
-    below = made[end + 2].count(separator) if end + 2 < len(made) else 0
+    result = list(lines)
+    ends = [i for i, line in enumerate(result) if line.startswith(_END_OF_HEADER)]
+    if len(ends) != 2 or ends[1] + 1 >= len(result):  # several tables keep their headers
+        return result
+    end, names = ends[1], result[ends[1] + 1]
+    below = result[end + 2].count(separator) if end + 2 < len(result) else 0
     if below < names.count(separator):  # rows without a comment have no cell for one
         names = names.removesuffix(f"{separator}Comment")
-    units = next((line for line in made[:end] if line.startswith(_UNITS)), _UNITS)
-    step = next((line for line in made[:end] if line.startswith(_STEP)), "").split(separator)[1:2]
-    made[:end] = [""] * end
+    units = next((line for line in result[:end] if line.startswith(_UNITS)), _UNITS)
+    step = next((line for line in result[:end] if line.startswith(_STEP)), "").split(separator)[1:2]
+    result[:end] = [""] * end
     if step and (step_s := number(step[0], "," if "," in step[0] else ".")):
-        made[0] = f"rate{separator}{1.0 / step_s:.12g}"
-    made[end], made[end + 1] = names, units.removeprefix(_UNITS)
-    if not made[end + 1].strip(f"{separator} \t"):
-        made[end], made[end + 1] = "", names
-    return made
+        result[0] = f"rate{separator}{1.0 / step_s:.12g}"
+    result[end], result[end + 1] = names, units.removeprefix(_UNITS)
+    if not result[end + 1].strip(f"{separator} \t"):
+        result[end], result[end + 1] = "", names
+    return result
 
 
 #: `A. Time (sec)`, `ch1: tip x [mm]`.
@@ -313,13 +313,13 @@ def _without_common(names: Sequence[str]) -> list[str]:
         return list(names)
     before = min(len(d) for d in dotted) > 1 and len({d[0] for d in dotted}) == 1
     behind = min(len(d) for d in dotted) > 1 + before and len({d[-1] for d in dotted}) == 1
-    made = []
+    result = []
     for name in names:
         bare = _UNIT.sub("", name)
         if "." not in bare:
-            made.append(name)
+            result.append(name)
             continue
         parts = bare.strip(".").split(".")
         parts = parts[1 if before else 0 : -1 if behind else None]
-        made.append(".".join(parts) + name[len(bare) :])
-    return made
+        result.append(".".join(parts) + name[len(bare) :])
+    return result
