@@ -201,7 +201,7 @@ class _SensedMotion:
         return self.inner[: self.begin], self.inner[self.end :]
 
     @property
-    def _moved_s(self) -> float:
+    def _motion_s(self) -> float:
         return float(self.sensed.t_s[self.end] - self.sensed.t_s[self.begin])
 
     @cached_property
@@ -221,7 +221,7 @@ class _SensedMotion:
         return np.asarray(np.sqrt(2.0 * self.sensed.step_s * np.maximum(variance, blocks)))
 
     @cached_property
-    def _outer(self) -> FloatArray:
+    def _acceleration(self) -> FloatArray:
         """(T, 2) acceleration in the study's frame, without the sensor's offset, m/s²."""
         seconds = [len(part) * self.sensed.step_s for part in self._rests]
         means = [part.mean(axis=0) for part in self._rests]
@@ -240,7 +240,7 @@ class _SensedMotion:
         if at_s[-1] < t_s[self.end]:
             at_s = np.append(at_s, t_s[self.end])
         rows = np.searchsorted(t_s, at_s)
-        velocity = CubicSpline(at_s, self._outer[rows]).antiderivative()
+        velocity = CubicSpline(at_s, self._acceleration[rows]).antiderivative()
         mean = velocity(at_s[-1]) / (at_s[-1] - at_s[0])
         within_s = np.clip(t_s, at_s[0], at_s[-1])
         since_s = within_s - at_s[0]
@@ -286,22 +286,22 @@ class _SensedMotion:
         seconds = [len(part) * self.sensed.step_s for part in self._rests]
         differ = np.abs(means[1] - means[0])
         std = self.noise * np.sqrt(0.5 * (1.0 / seconds[0] + 1.0 / seconds[1]))
-        allowed = np.maximum(SIGNIFICANT * std, 8.0 * self.limit_m / self._moved_s**2)
+        allowed = np.maximum(SIGNIFICANT * std, 8.0 * self.limit_m / self._motion_s**2)
         worst = int(np.argmax(differ / np.maximum(allowed, 1e-12)))
         if differ[worst] > allowed[worst]:
             raise NotIntegrableError(
                 self.end,
                 f"is {means[1][worst]:.4g} m/s² at rest after the motion, {means[0][worst]:.4g} "
                 f"m/s² before it, gravity taken out; limit {allowed[worst]:.2g} m/s² apart, for a "
-                f"motion of {self._moved_s:.2g} s: let the sensor warm up and fasten it, and if "
+                f"motion of {self._motion_s:.2g} s: let the sensor warm up and fasten it, and if "
                 "the clamp turns give its angle",
             )
 
     def check_velocity(self) -> None:
         """Check that the final velocity is 0 within the noise."""
-        rows, moved_s = slice(self.begin, self.end + 1), self._moved_s
-        ends = np.trapezoid(self._outer[rows], self.sensed.t_s[rows], axis=0)
-        rest_s = (len(self._outer) - self.end + self.begin) * self.sensed.step_s
+        rows, moved_s = slice(self.begin, self.end + 1), self._motion_s
+        ends = np.trapezoid(self._acceleration[rows], self.sensed.t_s[rows], axis=0)
+        rest_s = (len(self._acceleration) - self.end + self.begin) * self.sensed.step_s
         std = float(np.max(self.noise)) * np.sqrt(0.5 * moved_s * (1.0 + moved_s / rest_s))
         allowed = max(SIGNIFICANT * std, 8.0 * self.limit_m / moved_s)
         speed = float(np.linalg.norm(ends))
@@ -315,7 +315,7 @@ class _SensedMotion:
 
     def check_rate(self) -> None:
         """Check that every second sample gives the same path."""
-        count, moved_s, difference_m = self.end - self.begin, self._moved_s, np.inf
+        count, moved_s, difference_m = self.end - self.begin, self._motion_s, np.inf
         if count >= 8:
             difference_m = float(np.abs(self._path(2) - self.path_m).max())
         std_m = float(np.max(self.noise)) * np.sqrt(moved_s**3 / 24.0)
@@ -330,7 +330,7 @@ class _SensedMotion:
 
     def closed(self, drift: HandDrift, ends_m: FloatArray) -> FloatArray:
         """The maximum-likelihood path with the known end.  Raises NotIntegrableError."""
-        last_m, moved_s = self.path_m[-1], self._moved_s
+        last_m, moved_s = self.path_m[-1], self._motion_s
         end_error_m = ends_m - last_m
         noise_m2 = np.array(drift.noise_m_per_s2_per_rt_hz) ** 2 * moved_s**3 / 24.0
         gain_m2 = (drift.gain_std * last_m) ** 2

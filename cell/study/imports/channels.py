@@ -13,7 +13,7 @@ from cell.study.imports.units import split_unit, unit_of
 
 _SEPARATORS = ("\t", ";", ",")
 #: Header lines that are searched for the channels' properties.
-_MOST_HEADER = 60
+_MAX_HEADER = 60
 
 
 def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
@@ -26,7 +26,7 @@ def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
     for separator in _SEPARATORS:
         stated: dict[str, list[str]] = {}
         last = 0
-        for i, line in enumerate(lines[:_MOST_HEADER]):
+        for i, line in enumerate(lines[:_MAX_HEADER]):
             cells = [cell.strip() for cell in split_line(line, separator)]
             names = set(cells[::2])
             if len(cells) > 3 and len(names) == 1 and (word := names.pop())[:1].isalpha():
@@ -34,11 +34,11 @@ def by_channels(path: Path, lines: Sequence[str]) -> Capture | None:
         properties = {split_unit(word)[0].lower(): (word, texts) for word, texts in stated.items()}
         if "name" in properties:
             rows = [split_line(line, separator) for line in lines[last + 1 :]]
-            return _joined(path, properties, rows, last + 2)
+            return _join(path, properties, rows, last + 2)
     return None
 
 
-def _joined(
+def _join(
     path: Path,
     properties: dict[str, tuple[str, list[str]]],
     rows: Sequence[Sequence[str]],
@@ -47,7 +47,7 @@ def _joined(
     """Columns of all channels at the union of their times."""
     names = properties["name"][1]
     _, units = properties.get("unit", ("", [""] * len(names)))
-    mark: Decimal = "," if any("," in cell for row in rows[:_MOST_HEADER] for cell in row) else "."
+    mark: Decimal = "," if any("," in cell for row in rows[:_MAX_HEADER] for cell in row) else "."
     places = [i for i, row in enumerate(rows) if any(is_number(t, mark) for t in row[::2])]
     table = np.full((len(places), 2 * len(names)), np.nan)
     for k, i in enumerate(places):

@@ -62,7 +62,7 @@ def choose(
     others    files of the other trials, in which other markers may be missing
     """
     points = _same_dimension(capture, inside, findings)
-    lost = _lost([capture, *others], points)
+    lost = _missing_codes([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
     _check_distinct(capture, points, raw)
     for value in lost:
@@ -78,7 +78,7 @@ def choose(
         )
     hand, second = None, None
     if named:
-        cable = _in_front(named, cable, raw, findings)
+        cable = _without_body(named, cable, raw, findings)
     if not hand_elsewhere:
         hand, second = _gripper_points(named, cable, raw, inside)
         if hand is not None:
@@ -87,9 +87,9 @@ def choose(
             sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
             findings.guessed("hand", sentence)
     if hand is None and not hand_elsewhere:
-        _check_several(capture, cable, others)
+        _check_not_single(capture, cable, others)
         order = from_end(cable, raw)
-        behind = _behind_jaws(order, raw, free_length_m)
+        behind = _count_behind(order, raw, free_length_m)
         second = order[behind - 1] if behind else None
         hand, *order = order[behind:]
         sentence = f"no point is named after a gripper: {hand.name!r}, the end of the chain that "
@@ -101,13 +101,13 @@ def choose(
             findings.guessed("hand", f"{sentence}the markers span the free length")
     elif hand is None:
         order = from_end(cable, raw)
-        if behind := _on_jaws(order, raw, free_length_m):
+        if behind := _count_on_gripper(order, raw, free_length_m):
             body = ", ".join(repr(p.name) for p in order[:behind])
             sentence = f"{body}: on the gripper, for with them the markers span more than the cable"
             findings.guessed("markers", f"{sentence}, and they move as one body: left out")
             order = order[behind:]
     else:
-        order = [cable[i - 1] for i in chain(_typical([hand, *cable], raw), 0)[1:]]
+        order = [cable[i - 1] for i in chain(_at_rest([hand, *cable], raw), 0)[1:]]
     names = " → ".join(p.name for p in order)
     findings.seen(
         "markers",
@@ -150,7 +150,7 @@ def check_scales(captures: Sequence[Capture], chosen: Chosen, findings: ImportFi
             findings.guessed("metres_per_unit", sentence)
 
 
-def _check_several(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
+def _check_not_single(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
     """Raise InputError if a file has a single point: there is none for the gripper."""
     if len(cable) > 1:
         return
@@ -222,7 +222,7 @@ def _same_dimension(capture: Capture, inside: Contents, findings: ImportFindings
     return points
 
 
-def _lost(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, ...]:
+def _missing_codes(captures: Sequence[Capture], points: Sequence[Point]) -> tuple[float, ...]:
     """Codes of a missing point: in some rows all its coordinates have this value."""
     places = [
         capture.at(list(point.columns))
@@ -279,7 +279,7 @@ def _gripper_points(
 def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
     """Points in their order along the cable at rest, from the end that comes to rest first: the
     gripper's."""
-    places = _typical(cable, raw)
+    places = _at_rest(cable, raw)
     orders = [chain(places, start) for start in range(len(cable))]
     order = min(
         orders, key=lambda o: float(np.linalg.norm(np.diff(places[o], axis=0), axis=1).sum())
@@ -290,9 +290,9 @@ def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
 
 
 #: Distances within a rigid body change by less than this share of the complete length.
-_ONE_BODY = 0.01
+_RIGID = 0.01
 #: … and by less than this share of the largest change of distance of a cable's point.
-_OF_CABLE = 0.4
+_RIGID_SHARE = 0.4
 #: Tolerance of a chain's length, relative to the cable's free length.
 _LENGTH_TOL = 0.03
 
@@ -304,7 +304,7 @@ def _distance_range(first: FloatArray, second: FloatArray) -> float:
     return float(np.subtract(*np.percentile(distances, (98, 2)))) if len(distances) > 1 else np.inf
 
 
-def _in_front(
+def _without_body(
     named: Sequence[Point],
     cable: Sequence[Point],
     raw: dict[str, FloatArray],
@@ -314,10 +314,10 @@ def _in_front(
 
     The cable's first marker keeps its distance too, but lies on the side of the others.
     """
-    places = _typical([*named, *cable], raw)
+    places = _at_rest([*named, *cable], raw)
     size = float(np.ptp(places, axis=0).max())
     change = {p.name: max(_distance_range(raw[h.name], raw[p.name]) for h in named) for p in cable}
-    most = min(_ONE_BODY * size, _OF_CABLE * max(c for c in [0.0, *change.values()] if c < np.inf))
+    most = min(_RIGID * size, _RIGID_SHARE * max(c for c in [0.0, *change.values()] if c < np.inf))
     rigid = [p for p in cable if change[p.name] < most]
     loose = [i for i, p in enumerate(cable, len(named)) if p not in rigid]
     if not rigid or len(loose) < 2 or not np.isfinite(places).all():
@@ -332,14 +332,14 @@ def _in_front(
     return [p for p in cable if p not in body]
 
 
-def _behind_jaws(
+def _count_behind(
     order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
 ) -> int:
     """Number of points of a chain that are on the gripper, behind the gripping point.
 
     From the gripping point to the tip the chain is as long as the cable; with them it is longer.
     """
-    steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
     spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
     if free_length_m is None or not np.isfinite(spans).all():
         return 0
@@ -349,11 +349,11 @@ def _behind_jaws(
             body = order[: behind + 1]
             length = spans[behind]
             change = [_distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
-            return behind if max(change, default=0.0) < _ONE_BODY * length else 0
+            return behind if max(change, default=0.0) < _RIGID * length else 0
     return 0
 
 
-def _on_jaws(
+def _count_on_gripper(
     order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
 ) -> int:
     """Number of points of a chain that are on a gripper with its own file.
@@ -363,16 +363,16 @@ def _on_jaws(
     unit = METRES.get(order[0].unit)
     if free_length_m is None or unit is None:
         return 0
-    steps = np.linalg.norm(np.diff(_typical(order, raw), axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
     spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0) * unit
     most_m = (1.0 + _LENGTH_TOL) * free_length_m
     count = int(np.argmax(spans <= most_m))
     body = order[:count]
     change = [_distance_range(raw[p.name], raw[body[-1].name]) * unit for p in body[:-1]]
-    return count if max(change, default=0.0) < _ONE_BODY * free_length_m else 0
+    return count if max(change, default=0.0) < _RIGID * free_length_m else 0
 
 
-def _typical(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
+def _at_rest(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
     """(points, d) positions at rest, else in the middle row of those with all points."""
     places = np.stack([raw[p.name] for p in points], axis=1)
     rest = places[rest_rows(places)]

@@ -21,14 +21,14 @@ _MIN_ROTATION = 0.05
 #: that is not stated.
 _SIGN_COST, _QUARTER_COST, _UNIT_COST = 0.02, 0.3, 0.05
 #: Largest difference at rest between the root and a correct angle, rad; else an offset is needed.
-_AGREES = 0.35
+_TOLERANCE = 0.35
 #: Relative difference between the rotations of body and root: above the first the quaternion's
 #: order is wrong, below the second it is correct.
 _WRONG_ORDER, _RIGHT_ORDER = 0.8, 0.4
 #: An unnamed angle is the clamp's if it is within this of the root at rest, rad.
 _SAME_AT_REST = 0.1
-#: As _AGREES, for a root estimated by the line to a single marker, from which a cable droops.
-_DROOPS = 1.0
+#: As _TOLERANCE, for a root estimated by the line to a single marker, from which a cable droops.
+_LINE_TOLERANCE = 1.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Root:
     @property
     def agrees_rad(self) -> float:
         """Largest difference at rest between the root and a correct angle."""
-        return _DROOPS if self.is_line else _AGREES
+        return _LINE_TOLERANCE if self.is_line else _TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -98,18 +98,18 @@ def clamp_angle(
     if four is not None and _is_filler(capture.at(list(four)), hand):
         four = None
     if four is not None and len(axes.up) == len("xyz"):  # one angle is no 3D orientation
-        return _of_body(capture, four, axes, root, findings)
+        return _section_of_body(capture, four, axes, root, findings)
     if (column := _column(inside, axes, hand)) is not None:
-        return _of_column(capture, *column, root, findings)
+        return _section_of_column(capture, *column, root, findings)
     if (column := _column_like_root(capture, inside, root)) is not None:
-        section = _of_column(capture, *column, root, findings)
+        section = _section_of_column(capture, *column, root, findings)
         sentence = f"{column[0]!r} is the clamp angle, for it agrees with the cable's root"
         findings.guessed("hand.angle", sentence)
         return section
     if four is not None:
-        return _of_body(capture, four, axes, root, findings)
+        return _section_of_body(capture, four, axes, root, findings)
     if second is not None:
-        return _of_line(*second, root, hand, findings)
+        return _section_of_line(*second, root, hand, findings)
     angle = round(root.rest_rad, 4) + 0.0
     sentence = (
         "no angle of the gripper is in the file: it is taken as constant, "
@@ -127,13 +127,13 @@ def _is_filler(quaternion: FloatArray, hand: str) -> bool:
     return not HAND.intersection(hand.split()) and bool(np.all(known == [0.0, 0.0, 0.0, 1.0]))
 
 
-def _of_line(
+def _section_of_line(
     second: Point, shown_rad: float, root: Root, hand: str, findings: ImportFindings
 ) -> AngleSection:
     """The line between two points of the gripper, along the cable or against it."""
     offset = wrapped(root.rest_rad - shown_rad)
     offset = 0.0 if abs(offset) < root.agrees_rad else offset
-    if abs(abs(offset) - np.pi) < _AGREES:
+    if abs(abs(offset) - np.pi) < _TOLERANCE:
         offset = float(np.pi)
     sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
     findings.guessed("hand.angle", sentence + _offset_clause(offset))
@@ -173,7 +173,7 @@ def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[s
     return None
 
 
-def _of_column(
+def _section_of_column(
     capture: Capture, name: str, unit: str, root: Root, findings: ImportFindings
 ) -> AngleSection:
     """Section of a column of angles; unit, sign and zero are estimated from the cable's root."""
@@ -243,7 +243,7 @@ def _sign(values: FloatArray, shown_rad: FloatArray) -> float:
     return float(np.sign(slope)) if abs(slope) > 0.5 * size else 0.0
 
 
-def _of_body(
+def _section_of_body(
     capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
 ) -> AngleSection:
     """Section of the body's axis nearest to the direction in which the cable leaves the body.

@@ -244,7 +244,7 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
 
 
 #: Last words of columns of detection confidence, and their thresholds.
-_SURE_FROM = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
+_THRESHOLD = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
               "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
 
 
@@ -254,9 +254,9 @@ def confidence(column: CapturedColumn) -> tuple[str, float] | None:
     source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
     """
     words = _words(column.name)
-    if len(words) < 2 or words[-1] not in _SURE_FROM:
+    if len(words) < 2 or words[-1] not in _THRESHOLD:
         return None
-    return " ".join(w for w in words[:-1] if w not in _FILLER), _SURE_FROM[words[-1]]
+    return " ".join(w for w in words[:-1] if w not in _FILLER), _THRESHOLD[words[-1]]
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:

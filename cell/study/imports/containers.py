@@ -63,7 +63,7 @@ def read_container(path: Path) -> Capture:
         return _read_checked(file, lambda f: read_sheet(f, part))
     tree, units = _read_checked(file, _tree)
     if part:
-        capture = _of_part(path, part, tree, units)
+        capture = _capture_of_part(path, part, tree, units)
         note = f"{path}: a stream of its own, by its topic, its clock or events around a trial"
         in_streams = _TREES.get(file.suffix.lower()) is streams_tree
         return replace(capture, notes=(*capture.notes, note)) if in_streams else capture
@@ -88,7 +88,7 @@ def parts_of(path: Path) -> list[FilePart]:
 
     def shows_points(group: tuple[str, ...]) -> bool:
         try:
-            capture = _of_part(path, WITHIN.join(group), tree, units)
+            capture = _capture_of_part(path, WITHIN.join(group), tree, units)
         except InputError:
             return False
         return bool(contents(capture).points)
@@ -100,7 +100,7 @@ def parts_of(path: Path) -> list[FilePart]:
     return trials or []
 
 
-def _of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
+def _capture_of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture:
     """Columns of the arrays of one group.  Raises InputError: there is none."""
     group = group_of(tree, part)
     if group is None:
@@ -152,16 +152,16 @@ def _mat(path: Path) -> tuple[Tree, Units]:
 def _parquet(path: Path) -> tuple[Tree, Units]:
     from pyarrow.parquet import read_table
 
-    return _of_arrow(read_table(path)), {}
+    return _arrow_tree(read_table(path)), {}
 
 
 def _feather(path: Path) -> tuple[Tree, Units]:
     from pyarrow.feather import read_table
 
-    return _of_arrow(read_table(path)), {}
+    return _arrow_tree(read_table(path)), {}
 
 
-def _of_arrow(table: Any) -> Tree:
+def _arrow_tree(table: Any) -> Tree:
     columns: Tree = {}
     for name in table.column_names:
         values = table.column(name).to_pylist()
@@ -311,7 +311,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
         if value.dtype == object and not value.size
     ]
     capture = Capture(
-        path, tuple(_distinct(columns)), np.column_stack(series), np.arange(1, rows + 1),
+        path, tuple(_unique(columns)), np.column_stack(series), np.arange(1, rows + 1),
         _rate_hz(arrays), _unit(texts), notes=tuple(notes), of_cable=_of_cable(arrays),
         counted="row",
     )  # fmt: skip
@@ -378,7 +378,7 @@ def _of_point(point: str, values: NDArray[np.float64]) -> Iterator[tuple[str, ND
     yield from ((f"{point} {title}", values[:, k]) for k, title in enumerate(titles))
 
 
-def _distinct(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
+def _unique(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
     """Columns with unique names; repeated ones are numbered from the second on."""
     counts: Counter[str] = Counter()
     for column in columns:

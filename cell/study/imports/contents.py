@@ -30,7 +30,7 @@ HAND = frozenset(
 #: Range of the rates of films and logs, rows per second.
 FILM_RATES_HZ = (2.0, 20_000.0)
 #: The years 1998 … 2100, in s since 1970.
-_OUR_TIMES_S = 0.9e9, 4.1e9
+_EPOCH_RANGE_S = 0.9e9, 4.1e9
 #: Last words of a displacement from a point's initial position, such as dX.
 _DISPLACEMENT = frozenset(("d", "delta", "displacement"))
 #: Largest share of backward steps in an unsorted column of times.
@@ -138,7 +138,7 @@ def epoch_unit(times: FloatArray) -> str:
     if len(times) < 2 or not np.isfinite(times).all() or not times[-1] > times[0]:
         return ""
     step = float(times[-1] - times[0]) / (len(times) - 1)
-    (early_s, late_s), (low_hz, high_hz) = _OUR_TIMES_S, FILM_RATES_HZ
+    (early_s, late_s), (low_hz, high_hz) = _EPOCH_RANGE_S, FILM_RATES_HZ
     for name in ("s", "ms", "µs", "ns"):
         unit = SECONDS[name]
         if early_s < times[0] * unit < late_s and low_hz <= 1.0 / (step * unit) <= high_hz:

@@ -75,7 +75,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     trials: list[Trial] = []
     for i, entry in enumerate(mapping.trials):
         try:
-            measured = _measured(read.of_trial(entry), entry, captures, order)
+            measured = _read_trial(read.of_trial(entry), entry, captures, order)
             _check_unit(read, measured.trial, arcs[order])
         except InputError as error:
             problems += error.problems
@@ -147,7 +147,7 @@ def _check_trial(
 #: Minimum number of rows between two backward steps in time that form a separate recording.
 _RECORDING_ROWS = 5
 #: Tolerance of the rest directions of trials whose clamp angle is constant, rad.
-_RESTS_ALIKE = 0.05
+_REST_LIMIT = 0.05
 
 
 def _rest_direction_problems(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
@@ -164,12 +164,12 @@ def _rest_direction_problems(read: ReadMapping, trials: list[Trial]) -> list[Pro
     if len(rests) < 2:
         return []
     (low, first), (high, last) = min(rests), max(rests)
-    if high - low < _RESTS_ALIKE:
+    if high - low < _REST_LIMIT:
         return []
     message = (
         "is one constant, yet at rest the marker next to the gripper is at "
         f"{np.degrees(low):.1f}° in "
-        f"{first} and at {np.degrees(high):.1f}° in {last}, limit {np.degrees(_RESTS_ALIKE):.1f}° "
+        f"{first} and at {np.degrees(high):.1f}° in {last}, limit {np.degrees(_REST_LIMIT):.1f}° "
         "apart; give a column of the angle, or make studies of their own of these trials"
     )
     return [read.document.problem(("hand", "angle", "constant_rad"), message)]
@@ -192,7 +192,7 @@ def trials_of(
     problems: list[Problem] = []
     for entry in read.mapping.trials:
         try:
-            trials.append(_measured(read.of_trial(entry), entry, captures, order).trial)
+            trials.append(_read_trial(read.of_trial(entry), entry, captures, order).trial)
         except InputError as error:
             problems += error.problems
     return trials, problems
@@ -239,7 +239,7 @@ def _key_of(read: ReadMapping, key: Key) -> Key:
     return "markers", number, key[1]
 
 
-def _measured(
+def _read_trial(
     read: ReadMapping,
     entry: TrialEntry,
     captures: Dictionary[str, Capture],
@@ -302,7 +302,7 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
         word = "repeats" if raw[row] == raw[row - 1] else "comes after"
         more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
         remedy = "remove what is there twice, and sort the rows"
-        if _restarts(raw, back):
+        if _has_restarts(raw, back):
             remedy = "another recording begins here: save each in a file of its own, or remove one"
         if is_coarse(raw):
             remedy = "its clock is coarser than the rows: give --rate, by which they are counted"
@@ -315,7 +315,7 @@ def times_s(capture: Capture, section: TimeSection) -> FloatArray:
     return np.asarray(raw * (section.seconds_per_unit or 1.0))
 
 
-def _restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
+def _has_restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
     """Whether the times are of several recordings: large backward steps, many rows apart."""
     parts = np.diff([0, *back, len(raw)])
     steps = raw[back - 1] - raw[back]

@@ -66,11 +66,11 @@ _HEAD = 60
 #: Weight of blanks as the separator: another one may yield so much fewer numbers.
 _BLANKS = 0.95
 #: A form is rejected if it yields less than this share of the numbers of the detected form.
-_OF_FORM = 0.5
+_FORM_SHARE = 0.5
 #: Minimum number of cells of a word that means a missing value.
 _FEWEST_MISSING = 2
 #: Maximum number of header lines; those of motion capture have a dozen.
-_MOST_HEADER = 200
+_MAX_HEADER = 200
 
 
 def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
@@ -83,7 +83,7 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
     """
     text, notes = _text(path)
-    if text.count("\n") > MAX_ROWS + _MOST_HEADER:
+    if text.count("\n") > MAX_ROWS + _MAX_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
     if form is None and (capture := by_channels(path, text.splitlines())) is not None:
@@ -98,7 +98,7 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     if capture is None:
         rows, row_notes = upright(path, split_lines(path, lines, form.separator), form.decimal)
         notes += row_notes
-        capture = _richest(path, _tables(rows, form), form)
+        capture = _main_table(path, _tables(rows, form), form)
     return replace(capture, notes=(*notes, *capture.notes))
 
 
@@ -182,7 +182,7 @@ def _is_remark(row: Row, decimal: Decimal) -> bool:
     return len(row.cells) < 2 or (len(filled) == 2 and not is_number(filled[0], decimal))
 
 
-def _richest(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Capture:
+def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> Capture:
     """The table with the most points; columns of others with the same frames are joined to it.
 
     raises  InputError: the first problem, if no table can be read
@@ -230,7 +230,7 @@ def _with_names_of_first(
     blocks = []
     try:
         for rows in tables:
-            first, last = _block(path, rows, form)
+            first, last = _table_range(path, rows, form)
             above = [bare(row) for row in rows[:first] if not row.blank]
             blocks.append((above, rows[first:last]))
     except InputError:
@@ -260,8 +260,8 @@ def _raw_table(
     """
     rows, row_notes = without_repeats(path, rows, form.decimal)
     rows, comment_notes = without_comments(path, rows, form.decimal)
-    first, last = _block(path, rows, form)
-    table = _without_end(rows[:first], rows[first:last])
+    first, last = _table_range(path, rows, form)
+    table = _without_empty_end(rows[:first], rows[first:last])
     if form.separator != ",":  # where it may be a decimal mark
         table, numbered = without_row_names(path, rows[:first], table)
         row_notes += numbered
@@ -341,7 +341,7 @@ def _numbers(lines: Sequence[str], form: TextForm) -> int:
 def _check_form(path: Path, text: str, form: TextForm) -> None:
     """Raise InputError if another form fits a text much better than the stated one."""
     lines, own = _sample(text), text_form(text)
-    if _numbers(lines, form) >= _OF_FORM * _numbers(lines, own):
+    if _numbers(lines, form) >= _FORM_SHARE * _numbers(lines, own):
         return
     raise InputError.at(
         path,
@@ -351,7 +351,7 @@ def _check_form(path: Path, text: str, form: TextForm) -> None:
     )
 
 
-def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
+def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
     """First row of the table, and the row after its last.
 
     raises  InputError: there is none, or a line within it is no row of numbers
@@ -371,7 +371,7 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
         before = any(data[j] and len(rows[j].cells) == width for j in range(i - 1))
         below_ids = _are_names(rows[i].cells) and not before
         if within and not data[i] and not rows[i].blank and not below_ids:
-            raise _no_row(path, rows[i])
+            raise _row_error(path, rows[i])
     first = _first_row(rows, [i for i, r in enumerate(rows) if data[i] and len(r.cells) == width])
     last, blank = first, False
     for i in range(first, len(rows)):
@@ -382,10 +382,10 @@ def _block(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
         elif blank or not any(data[i:]):
             break
         else:
-            raise _no_row(path, rows[i])
+            raise _row_error(path, rows[i])
     while last > first + 1 and not goes_on(rows[last - 1], rows[first], form.decimal):
         last -= 1
-    return first, _checked_width(path, rows, first, last, form)
+    return first, _check_width(path, rows, first, last, form)
 
 
 def _first_row(rows: Sequence[Row], of_width: Sequence[int]) -> int:
@@ -407,7 +407,7 @@ def _are_names(cells: Sequence[str]) -> bool:
     return len(words) > 1 and not any(c.strip()[0] in "+-.,0123456789" for c in words)
 
 
-def _checked_width(path: Path, rows: Sequence[Row], first: int, last: int, form: TextForm) -> int:
+def _check_width(path: Path, rows: Sequence[Row], first: int, last: int, form: TextForm) -> int:
     """`last`.  Raises InputError: a row has another number of cells than the first one."""
     width = len(rows[first].cells)
     for row in rows[first:last]:
@@ -424,13 +424,13 @@ def _checked_width(path: Path, rows: Sequence[Row], first: int, last: int, form:
     return last
 
 
-def _no_row(path: Path, row: Row) -> InputError:
+def _row_error(path: Path, row: Row) -> InputError:
     shown = reprlib.repr(" ".join(row.cells).strip())
     message = f"{shown} is no row of numbers like those around it; mend it or remove the line"
     return InputError.at(path, message, line=row.line)
 
 
-def _without_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
+def _without_empty_end(above: Sequence[Row], table: Sequence[Row]) -> list[Row]:
     """Rows without the empty cell that a separator at their ends makes, where it has no name."""
     width = len(table[0].cells)
     named = any(len(row.cells) >= width for row in above)
@@ -468,14 +468,14 @@ def _values(
         for k, c in enumerate(chosen):
             value = number(row.cells[c], decimal, grouped)
             if value is None and re.search(r"\d", row.cells[c]):
-                raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
+                raise _number_error(path, row, header.columns[c], row.cells[c], decimal)
             if value is None:
                 words.setdefault(row.cells[c].strip(), []).append((row, c))
             values[i, k] = np.nan if value is None else value
     for places in words.values():  # a program writes its word for a gap into each coordinate
         if len(places) < _FEWEST_MISSING:
             row, c = places[0]
-            raise _no_number(path, row, header.columns[c], row.cells[c], decimal)
+            raise _number_error(path, row, header.columns[c], row.cells[c], decimal)
     return values, [
         f"{path}:{places[0][0].line}: {reprlib.repr(word)} stands in {len(places)} cells of "
         "numbers: nothing was seen there"
@@ -483,7 +483,7 @@ def _values(
     ]
 
 
-def _no_number(
+def _number_error(
     path: Path, row: Row, column: CapturedColumn, cell: str, decimal: Decimal
 ) -> InputError:
     hint = "give one, or nothing where nothing was seen"

@@ -22,7 +22,7 @@ from cell.study.table import MAX_BYTES, MAX_ROWS
 AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
 #: Keys of a record that identify its point.
 _LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
-_MOST_DEPTH, FEWEST_RECORDS = 8, 3
+_MAX_DEPTH, FEWEST_RECORDS = 8, 3
 #: OpenCV's first line, which is no YAML, its matrices, and its word for no number.
 _OF_OPENCV = re.compile(r"%YAML:[\d.]+")
 _TAG, _NAN = re.compile(r"!!opencv-\S+"), re.compile(r"\.Nan\b")
@@ -65,9 +65,9 @@ def read_document(path: Path) -> StructuredDocument:
         records = [(i, _parse_json(path, line, i)) for i, line in lines]
         document = StructuredDocument(None, records, "line")
     elif ending in (".yml", ".yaml"):
-        document = _of_records(_parse_yaml(path, text))
+        document = _document(_parse_yaml(path, text))
     elif ending == ".json":
-        document = _of_records(_parse_json(path, text, None))
+        document = _document(_parse_json(path, text, None))
     else:
         document = _parse_xml(path, text)
     if len(document.records) > MAX_ROWS:
@@ -75,7 +75,7 @@ def read_document(path: Path) -> StructuredDocument:
     return document
 
 
-def _of_records(content: Any) -> StructuredDocument:
+def _document(content: Any) -> StructuredDocument:
     return StructuredDocument(content, list(enumerate(_records(content, 0), 1)), "record")
 
 
@@ -120,10 +120,10 @@ def _parse_xml(path: Path, text: str) -> StructuredDocument:
     bare = _DECLARATION.sub("", text).rstrip()
     try:
         try:
-            return _of_records(_element(ElementTree.fromstring(f"<_>{bare}</_>")))
+            return _document(_element(ElementTree.fromstring(f"<_>{bare}</_>")))
         except ElementTree.ParseError:
             complete = bare.rpartition("\n")[0] or bare
-            return _of_records(_element(ElementTree.fromstring(f"<_>{complete}</_>")))
+            return _document(_element(ElementTree.fromstring(f"<_>{complete}</_>")))
     except (ElementTree.ParseError, RecursionError) as error:
         line = getattr(error, "position", (1, 0))[0]
         raise InputError.at(path, f"is no XML ({error}); save it again", line=line) from error
@@ -142,7 +142,7 @@ def _records(content: Any, depth: int) -> list[Any]:
     """The longest list of records, or of entries with the same keys; empty = there is none."""
     if isinstance(content, list):
         return content if all(isinstance(c, dict) for c in content) else []
-    if not isinstance(content, dict) or depth > _MOST_DEPTH:
+    if not isinstance(content, dict) or depth > _MAX_DEPTH:
         return []
     each = [c for c in content.values() if isinstance(c, dict)]
     alike = each if len({frozenset(c) for c in each}) == 1 and len(each) >= FEWEST_RECORDS else []
@@ -152,7 +152,7 @@ def _records(content: Any, depth: int) -> list[Any]:
 
 def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
     """Every number and word of a record, by the names on the way to it."""
-    if depth > _MOST_DEPTH:
+    if depth > _MAX_DEPTH:
         return
     if isinstance(content, Mapping):
         for key, item in content.items():

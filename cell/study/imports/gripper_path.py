@@ -26,7 +26,7 @@ from cell.study.imports.shape import lost_rows
 DRIFT, MOST_DRIFT = 1e-3, 0.02
 #: Tolerances of gravity at rest: of its magnitude, of a sensor that does not show it (relative),
 #: and of its direction.
-_AS_GRAVITY, _NO_GRAVITY, _ASIDE_RAD = 0.15, 0.05, 0.1
+_AS_GRAVITY, _NO_GRAVITY, _TILT_RAD = 0.15, 0.05, 0.1
 #: Maximum sampling rate of a path.
 _RATE_HZ = 2000.0
 
@@ -210,15 +210,15 @@ def _check_gravity(read: ReadMapping, sensed: AccelerometerSamples) -> None:
     angle = float(sensed.angle_rad[0])
     x, y = -np.array(sensed.gravity) / gravity
     up = np.array([np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x])
-    aside = float(np.arccos(np.clip(rest @ up / size, -1.0, 1.0)))
-    if aside > np.pi - _ASIDE_RAD:
+    tilt = float(np.arccos(np.clip(rest @ up / size, -1.0, 1.0)))
+    if tilt > np.pi - _TILT_RAD:
         message = "makes gravity point up at rest: the sensor shows g − a; give the negative"
         raise read.error(key, message)
-    if aside > _ASIDE_RAD:
+    if tilt > _TILT_RAD:
         raise read.error(
             ("hand", "acceleration", "columns"),
-            f"show gravity {np.degrees(aside):.3g}° aside at rest, limit "
-            f"{np.degrees(_ASIDE_RAD):.2g}°; correct hand.axes, or offset_rad of hand.angle",
+            f"show gravity {np.degrees(tilt):.3g}° aside at rest, limit "
+            f"{np.degrees(_TILT_RAD):.2g}°; correct hand.axes, or offset_rad of hand.angle",
         )
 
 

@@ -32,7 +32,7 @@ from cell.study.imports.units import METRES, RADIANS
 ACCELERATIONS = {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665}
 _GRAVITY_SHARE = 0.1
 #: Rows in which a gripper rests at first.
-_REST = 20
+_REST_ROWS = 20
 #: Words of a pose that was only commanded.
 _COMMANDED = frozenset(
     ("target", "commanded", "command", "cmd", "desired", "setpoint", "reference", "soll", "rsol")
@@ -106,7 +106,7 @@ def _by_acceleration(
     channels: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
     names = [n for n, _ in channels]
     columns: list[str | None] = [*names, *[None] * (2 - len(names))]
-    rest = np.nanmedian(capture.at(names)[:_REST], axis=0)
+    rest = np.nanmedian(capture.at(names)[:_REST_ROWS], axis=0)
     size = float(np.linalg.norm(rest))
     unit, sure, why = _unit(channels[0][1].unit, size)
     shows_gravity = unit is None or size * unit > 0.5 * ACCELERATIONS["g"]
@@ -152,7 +152,7 @@ def _axes(
 
 
 #: A gripper moves along one axis if it moves less than this share of that across the axis.
-_LEVEL = 0.02
+_ONE_AXIS = 0.02
 #: A chain from the gripper is the cable's if it is longer than the free length by at most the first
 #: share and, if no unit is stated, shorter by at most the second.
 TIP, _SHORTER = 0.02, 0.3
@@ -230,9 +230,9 @@ def first_point(
 
 
 #: A gripper that moves across the markers' plane by more than this share of its span has own axes.
-_ACROSS = 0.2
+_OUT_OF_PLANE = 0.2
 #: Tolerance of the directions of the gripper and the nearest marker, relative to their spans.
-_RISES_ALIKE = 0.25
+_DIRECTION_TOL = 0.25
 #: Final share of a record whose median is a point's final position.
 _FINAL_SHARE = 0.3
 #: The nearest marker moves about as far as the gripper; a ratio above this is another unit.
@@ -345,7 +345,7 @@ def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
     if nearest is None or len(axes.up) < 3:
         return False
     across = nearest.hand @ np.cross(axes.right, axes.up)
-    return reach(across[:, None]) > _ACROSS * reach(nearest.hand)
+    return reach(across[:, None]) > _OUT_OF_PLANE * reach(nearest.hand)
 
 
 def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | None:
@@ -359,8 +359,8 @@ def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | N
             return None
         directions.append((known[-1] - known[0]) / reach(known))
     hand, marker = directions
-    opposite = (np.abs(hand) > _RISES_ALIKE) & (np.abs(hand + marker) < _RISES_ALIKE)
-    alike = np.abs(np.where(opposite, -hand, hand) - marker) < _RISES_ALIKE
+    opposite = (np.abs(hand) > _DIRECTION_TOL) & (np.abs(hand + marker) < _DIRECTION_TOL)
+    alike = np.abs(np.where(opposite, -hand, hand) - marker) < _DIRECTION_TOL
     if not opposite.any() or not alike.all():
         return None
     right, up = np.where(opposite[:, None], -plane, plane) + 0.0
@@ -386,11 +386,11 @@ def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSe
     moves = () if nearest is None else nearest.moves
     towards = sum((marker[0] * hand[flat] for hand, marker in moves), np.zeros(2))
     most = sum(abs(float(marker[0])) * float(np.hypot(*hand[flat])) for hand, marker in moves)
-    goes = any(np.hypot(*hand[flat]) > _LEVEL * np.linalg.norm(hand) for hand, _ in moves)
+    goes = any(np.hypot(*hand[flat]) > _ONE_AXIS * np.linalg.norm(hand) for hand, _ in moves)
     if goes and np.hypot(*towards) > 0.5 * most:
         right[flat] = towards / np.hypot(*towards)
         return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
-    if np.hypot(*span[flat]) <= _LEVEL * span[up]:
+    if np.hypot(*span[flat]) <= _ONE_AXIS * span[up]:
         return _plane_of(right, up), f"{sentence}; it only moves along that: right is its first"
     level = known[:, flat] - known[:, flat].mean(axis=0)
     right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
@@ -406,7 +406,7 @@ def _up_axis(nearest: NearestMarker | None) -> int:
         return 2
     rises = (hand[-1] - hand[0]) / reach(hand)
     off = np.abs(rises - (marker[-1, 1] - marker[0, 1]) / reach(marker))
-    return 1 if off[1] < _RISES_ALIKE and off[2] > 2.0 * _RISES_ALIKE else 2
+    return 1 if off[1] < _DIRECTION_TOL and off[2] > 2.0 * _DIRECTION_TOL else 2
 
 
 def _plane_of(right: FloatArray, up: int) -> AxesSection:

@@ -118,19 +118,19 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
         if parts:
             words = _forward_fill(["" if w.lower() == "name" else w for w in words[:2]] + words[2:])
         parts.insert(0, words)
-        names = _joined(parts)
+        names = _join(parts)
         if unique:
             break
         named = (any(column) for column in zip(*parts, strict=True))
         unique = all(n or not c.strip() for n, c in zip(named, row, strict=True))
         unique = unique and len(set(names)) == width
     if len(parts) == 1:
-        parts = [_of_bodies(parts[0])]
+        parts = [_with_bodies(parts[0])]
     if parts:
         return _unique_names(parts, kinds), last
     for line, cells in rows:
         if _MARKER_NAMES.match(cells[0].strip().lower().replace(" ", "_")):
-            return _of_markers(path, line, cells, width), line
+            return _names_of_markers(path, line, cells, width), line
     if rows and len(rows[-1][1]) > 1:
         message = f"names {len(rows[-1][1])} columns, the rows below have {width} cells; give one "
         if any("." in cell for cell in row):  # then no comma is a decimal mark
@@ -156,7 +156,7 @@ def _with_name_of_index(rows: Lines, names: list[str]) -> list[str]:
     return [first, *names[1:]] if first and above and not any(others) else names
 
 
-def _of_markers(path: Path, line: int, cells: Sequence[str], width: int) -> list[str]:
+def _names_of_markers(path: Path, line: int, cells: Sequence[str], width: int) -> list[str]:
     """Columns of a table that only names its markers, three coordinates each."""
     markers = [c.strip() for c in cells[1:] if c.strip()]
     before = {0: [], 1: ["Time"], 2: ["Frame", "Time"]}.get(width - 3 * len(markers))
@@ -192,7 +192,7 @@ def _forward_fill(words: Sequence[str]) -> list[str]:
 _OF_BODY = re.compile(r"[yz]|roll|pitch|yaw|residual|rot\[\d]", re.IGNORECASE)
 
 
-def _of_bodies(names: Sequence[str]) -> list[str]:
+def _with_bodies(names: Sequence[str]) -> list[str]:
     """Names with that of their body, where `Gripper X` is followed by `Y`, `Z`, `Roll`, …"""
     full_names, body = [], ""
     for i, name in enumerate(names):
@@ -211,7 +211,7 @@ def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]
 
     A body's marker and the same one by itself have one name in some programs.
     """
-    names = _joined(parts)
+    names = _join(parts)
     for words in reversed(kinds):
         names = [
             f"{name} {word}" if names.count(name) > 1 and word else name
@@ -220,7 +220,7 @@ def _unique_names(parts: Sequence[Sequence[str]], kinds: Sequence[Sequence[str]]
     return names
 
 
-def _joined(parts: Sequence[Sequence[str]]) -> list[str]:
+def _join(parts: Sequence[Sequence[str]]) -> list[str]:
     names = [" ".join(dict.fromkeys(w for w in words if w)) for words in zip(*parts, strict=True)]
     return [name or f"column {i}" for i, name in enumerate(names, 1)]
 
@@ -285,18 +285,18 @@ def without_properties(lines: Sequence[str], separator: str) -> list[str]:
 #: `A. Time (sec)`, `ch1: tip x [mm]`.
 _ENTRY = re.compile(r"[\s#%]*([A-Za-z]{0,3}\d*)\s*[.:=)]\s+(\S.*?)[\s,;]*")
 #: Lines that are searched for the list and the names, and fewest columns.
-_MOST_LINES, _FEWEST = 300, 3
+_MAX_LINES, _MIN_WIDTH = 300, 3
 _UNIT = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 
 def with_legend(lines: Sequence[str], separator: str) -> list[str]:
     """The lines, with the letters of a line of names replaced by the names of a list."""
     legend: dict[str, str] = {}
-    for i, line in enumerate(lines[:_MOST_LINES]):
+    for i, line in enumerate(lines[:_MAX_LINES]):
         cells = [cell.strip() for cell in split_line(line, separator)]
         while cells and not cells[-1]:
             cells.pop()
-        if len(cells) >= _FEWEST and len(set(cells)) == len(cells) and set(cells) <= set(legend):
+        if len(cells) >= _MIN_WIDTH and len(set(cells)) == len(cells) and set(cells) <= set(legend):
             names = _without_common([legend[cell] for cell in cells])
             joint = "\t" if separator == " " else separator
             quoted = [f'"{n}"' if separator in n and separator != " " else n for n in names]
@@ -309,7 +309,7 @@ def with_legend(lines: Sequence[str], separator: str) -> list[str]:
 def _without_common(names: Sequence[str]) -> list[str]:
     """Names without the first and the last part that all dotted names have in common."""
     dotted = [_UNIT.sub("", n).strip(".").split(".") for n in names if "." in _UNIT.sub("", n)]
-    if len(dotted) < _FEWEST:
+    if len(dotted) < _MIN_WIDTH:
         return list(names)
     before = min(len(d) for d in dotted) > 1 and len({d[0] for d in dotted}) == 1
     behind = min(len(d) for d in dotted) > 1 + before and len({d[-1] for d in dotted}) == 1
