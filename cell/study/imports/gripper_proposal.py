@@ -229,7 +229,7 @@ def first_point(
     return None
 
 
-#: A gripper that moves across the markers' plane by more than this share of its span has own axes.
+#: A gripper has its own axes if it leaves the markers' plane by more than this share of its span.
 _OUT_OF_PLANE = 0.2
 #: Tolerance of the directions of the gripper and the nearest marker, relative to their spans.
 _DIRECTION_TOL = 0.25
