@@ -75,9 +75,11 @@ class Pinhole:
         points = np.asarray(points_m, dtype=np.float64)
         flat = np.zeros((points.size // points.shape[-1], 3))
         flat[:, : points.shape[-1]] = points.reshape(len(flat), -1)
-        points = flat @ self.X_CP[:3, :3].T + self.X_CP[:3, 3]
+        in_camera = flat @ self.X_CP[:3, :3].T + self.X_CP[:3, 3]
         still = np.zeros(3)
-        pixels, _ = cv2.projectPoints(points, still, still, self.matrix, np.array(self.distortion))
+        pixels, _ = cv2.projectPoints(
+            in_camera, still, still, self.matrix, np.array(self.distortion)
+        )
         return np.asarray(pixels, dtype=np.float64).reshape(*points.shape[:-1], 2)
 
 

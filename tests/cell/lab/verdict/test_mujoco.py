@@ -41,7 +41,7 @@ def explored(peer):
 def test_both_engines_move_the_same_cable_alike(peer):
     cable, stroke = peer.Specimen(), STROKES[0]
     t_s = np.arange(0.0, 1.0, 0.01)
-    theirs = peer.seen(cable, stroke, t_s)
+    theirs = peer.true_markers(cable, stroke, t_s)
     log = np.arange(0.0, 1.1, 0.002)
     x, y = stroke.place_m(log).T
     model = CableModel(
