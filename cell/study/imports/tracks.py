@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.words import first_of
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import from_end
 from cell.study.imports.column_names import ColumnKind, meaning
@@ -17,6 +18,8 @@ from cell.study.imports.contents import Point
 _TRACK = frozenset(("track", "tid", "trajectory", "particle"))
 #: Maximum frames without a point, minimum fraction of frames with it, minimum relative motion.
 _MAX_LOST, _MIN_VISIBLE, _MIN_MOTION = 12, 0.1, 0.02
+#: Tracks beyond so many are those of a film full of points.
+_MAX_TRACKS = 1000
 #: Maximum distance from the expected position, as a fraction of that to the next point.
 _MAX_DISTANCE = 0.5
 
@@ -38,7 +41,7 @@ def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
     numbered = np.isfinite(ids)
     times, frames = np.unique(capture.values[:, time], return_inverse=True)
     numbers = np.unique(ids[numbered])
-    if not 2 <= len(numbers) <= len(times) or 2 * numbered.sum() < len(ids):
+    if not 2 <= len(numbers) <= min(len(times), _MAX_TRACKS) or 2 * numbered.sum() < len(ids):
         return capture, all_rows
     places = np.full((len(numbers), len(times), 2), np.nan)
     track = np.searchsorted(numbers, np.where(numbered, ids, numbers[0]))
@@ -62,9 +65,11 @@ def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
     values = capture.values.copy()
     values[:, column] = renumbered
     dropped = len(rows) - int(rows.sum())
-    pairs = ", ".join(f"{numbers[i]:g} with {numbers[f]:g}" for i, f in enumerate(heads) if f != i)
+    pairs = [f"{numbers[i]:g} with {numbers[f]:g}" for i, f in enumerate(heads) if f != i]
     note = f"{capture.path}: tracks are numbered along the cable, from the end that rests first"
-    note += f"; those that go on under another number are joined: {pairs}" if pairs else ""
+    note += (
+        f"; those that go on under another number are joined: {first_of(pairs, 8)}" if pairs else ""
+    )
     note += f"; {dropped} rows of no track, or of one that is short or still, are left out"
     result = replace(capture, values=values[rows], lines=capture.lines[rows])
     return replace(result, notes=(*capture.notes, note)), np.flatnonzero(rows).tolist()
@@ -78,9 +83,11 @@ def _joined_tracks(places: FloatArray) -> list[int]:
     visible = np.isfinite(places[..., 0])
     begins, ends = visible.argmax(axis=1), visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
     heads = list(range(len(places)))
+    continued: set[int] = set()
     for new in np.argsort(begins, kind="stable").tolist():
-        gaps = [(o, int(begins[new] - ends[o])) for o in range(len(places))]
-        old = [o for o, gap in gaps if 0 < gap <= _MAX_LOST and o not in _continued(heads)]
+        gaps = begins[new] - ends
+        ended = np.flatnonzero((gaps > 0) & (gaps <= _MAX_LOST)).tolist()
+        old = [o for o in ended if o not in continued]
         distances = {o: _distance(places, o, new, int(ends[o]), int(begins[new])) for o in old}
         others = [o for o in np.flatnonzero(visible[:, begins[new]]).tolist() if o != new]
         if not distances or not others:
@@ -88,16 +95,9 @@ def _joined_tracks(places: FloatArray) -> list[int]:
         best = min(distances, key=lambda o: distances[o])
         offsets = places[others, begins[new]] - places[new, begins[new]]
         if distances[best] < _MAX_DISTANCE * float(np.linalg.norm(offsets, axis=1).min()):
-            heads[new] = best
-    return [_first_of(heads, i) for i in range(len(heads))]
-
-
-def _continued(heads: Sequence[int]) -> set[int]:
-    return {first for i, first in enumerate(heads) if first != i}
-
-
-def _first_of(heads: Sequence[int], i: int) -> int:
-    return i if heads[i] == i else _first_of(heads, heads[i])
+            heads[new] = heads[best]  # which began before
+            continued.add(best)
+    return heads
 
 
 def _distance(places: FloatArray, old: int, new: int, end: int, start: int) -> float:
