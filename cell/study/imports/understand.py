@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -87,9 +88,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
     if first.joined_files:
-        sentence = (
-            f"{first.capture.path.name} and {', '.join(first.joined_files)} have the same times: "
-        )
+        joined = ", ".join(Path(name).name for name in first.joined_files)
+        sentence = f"{first.capture.path.name} and {joined} have times of one recording: "
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
