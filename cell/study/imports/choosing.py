@@ -332,6 +332,18 @@ def _without_body(
     return [p for p in cable if p not in body]
 
 
+def _spans(order: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
+    """(points,) length of the chain at rest from each point to the last, in the file's unit."""
+    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
+    return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+
+
+def _is_rigid(body: Sequence[Point], raw: dict[str, FloatArray], length: float) -> bool:
+    """Whether points keep their distances to the last of them; `length` of chain or cable."""
+    change = [_distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
+    return max(change, default=0.0) < _RIGID * length
+
+
 def _count_behind(
     order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
 ) -> int:
@@ -339,17 +351,13 @@ def _count_behind(
 
     From the gripping point to the tip the chain is as long as the cable; with them it is longer.
     """
-    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
-    spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    spans = _spans(order, raw)
     if free_length_m is None or not np.isfinite(spans).all():
         return 0
     units = [METRES[p.unit] for p in order if p.unit in METRES][:1] or list(METRES.values())
     for behind in range(len(order) - 2):
         if any(abs(spans[behind] * u - free_length_m) < _LENGTH_TOL * free_length_m for u in units):
-            body = order[: behind + 1]
-            length = spans[behind]
-            change = [_distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
-            return behind if max(change, default=0.0) < _RIGID * length else 0
+            return behind if _is_rigid(order[: behind + 1], raw, spans[behind]) else 0
     return 0
 
 
@@ -363,13 +371,9 @@ def _count_on_gripper(
     unit = METRES.get(order[0].unit)
     if free_length_m is None or unit is None:
         return 0
-    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
-    spans = np.append(np.cumsum(steps[::-1])[::-1], 0.0) * unit
-    most_m = (1.0 + _LENGTH_TOL) * free_length_m
-    count = int(np.argmax(spans <= most_m))
-    body = order[:count]
-    change = [_distance_range(raw[p.name], raw[body[-1].name]) * unit for p in body[:-1]]
-    return count if max(change, default=0.0) < _RIGID * free_length_m else 0
+    length = free_length_m / unit
+    count = int(np.argmax(_spans(order, raw) <= (1.0 + _LENGTH_TOL) * length))
+    return count if _is_rigid(order[:count], raw, length) else 0
 
 
 def _at_rest(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
