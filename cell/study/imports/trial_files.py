@@ -30,10 +30,10 @@ def read_trials(
     named   function that returns a file's name in the mapping
     raises  InputError: one cannot be read.  ValueError: hands and trials differ in number
     """
-    read = cache(read_capture)
+    read, parts_in = cache(read_capture), cache(parts_of)
     gripper_files = [hand for hand in hands if hand is not None]
     if not gripper_files or len(gripper_files) < len(files):
-        single_parts = not any(parts_of(file) for file in files)
+        single_parts = not any(parts_in(file) for file in files)
         if single_parts and (of_motions := _of_motions(files, gripper_files, read, named)):
             return of_motions
     if gripper_files and len(hands) != len(files):
@@ -43,7 +43,7 @@ def read_trials(
         )
     entries: list[tuple[str, Path, Path | None]] = []
     for file, hand in zip(files, hands or [None] * len(files), strict=True):
-        parts = parts_of(file) if hand is None else []
+        parts = parts_in(file) if hand is None else []
         if not parts:
             entries.append((file.stem, file, hand))
         for part in parts:
