@@ -10,6 +10,7 @@ vision: a replay stays the same to the last bit.
 
 from __future__ import annotations
 
+import gc
 import json
 import pickle
 import sys
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from calib.plane import PlaneView
 from cell.cable.arrays import FloatArray
+from cell.computer.memory import reuse_freed_memory
 from cell.records.recording import form
 from cell.records.recording.copying import RecordingCopy
 from cell.records.recording.reading import TornRecordingError, image_of, verify
@@ -241,6 +243,8 @@ def keep_band(source: Path, target: Path, setup: VisionSetup, counts: Mapping[st
 
 
 if __name__ == "__main__":  # as the recorder's process has it done
+    reuse_freed_memory()
+    gc.disable()  # nothing here refers to itself in a circle
     try:
         setup = pickle.load(sys.stdin.buffer)
         keep_band(Path(sys.argv[1]), Path(sys.argv[2]), setup, json.loads(sys.argv[3]))

@@ -21,6 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cell.computer.memory import reuse_freed_memory
 from cell.records.recording.recorder import IDLE
 from cell.records.recording.ring import RingReader
 from cell.records.recording.writer import RecordingSession
@@ -116,5 +117,6 @@ def main(ring: int, wake: int, status: int, priority: str, file: str | None = No
 
 
 if __name__ == "__main__":
+    reuse_freed_memory()
     ring, wake, status = (int(argument) for argument in sys.argv[1:4])
     main(ring, wake, status, *sys.argv[4:])

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -23,9 +23,11 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.summary import Summary
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
+from cell.computer.memory import reuse_freed_memory
 from cell.files.input_error import InputError
 from cell.files.words import counted
 from cell.records.recording import form
@@ -54,17 +56,14 @@ def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int
     """
     try:
         with path.open("rb") as file:
-            reader = make_reader(file, validate_crcs=True)
-            summary = reader.get_summary()
+            summary = make_reader(file, validate_crcs=True).get_summary()
             if summary is None or summary.statistics is None:
                 raise TornRecordingError(f"{path} has no index")
             stated = {
                 summary.channels[number].topic: n
                 for number, n in summary.statistics.channel_message_counts.items()
             }
-            read: Counter[str] = Counter()
-            for _, channel, _ in reader.iter_messages(log_time_order=False):
-                read[channel.topic] += 1
+            read = Counter(topic for topic, _ in messages_in(file, summary))
     except UNREADABLE as error:
         raise TornRecordingError(f"{path} {_why(error)}") from error
     for expected in (stated, counts or stated):
@@ -159,11 +158,31 @@ class Recording:
     def _messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         try:
             with self.path.open("rb") as file:
-                reader = make_reader(file, validate_crcs=True)
-                for _, _, message in reader.iter_messages(topics=[topic], log_time_order=False):
+                summary = make_reader(file, validate_crcs=True).get_summary()
+                assert summary is not None, "`read_recording` has read it"
+                for _, message in messages_in(file, summary, topic):
                     yield message.log_time, message.data
         except UNREADABLE as error:
             raise damaged(self.path, error) from error
+
+
+def messages_in(
+    file: BinaryIO, summary: Summary, topic: str | None = None
+) -> Iterator[tuple[str, Message]]:
+    """Messages of a recording and their topics, in the file's order; one chunk is in memory.
+
+    The library's reader holds all chunks if it does not sort messages by time.
+    topic   the only one to read; None = all
+    raises  one of `UNREADABLE`: the file is damaged; OSError
+    """
+    topics = {n: c.topic for n, c in summary.channels.items() if topic in (None, c.topic)}
+    for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+        if topics.keys().isdisjoint(index.message_index_offsets):
+            continue
+        file.seek(index.chunk_start_offset + _HEAD.size)
+        for record in breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True):
+            if isinstance(record, Message) and record.channel_id in topics:
+                yield topics[record.channel_id], record
 
 
 def damaged(path: Path, error: Exception) -> InputError:
@@ -348,6 +367,7 @@ def _frame(message: Message) -> NDArray[np.uint8] | None:
 
 
 if __name__ == "__main__":  # as the recorder's process verifies a file
+    reuse_freed_memory()
     try:
         verify(Path(sys.argv[1]), json.loads(sys.argv[2]))
     except (TornRecordingError, OSError) as error:

@@ -42,14 +42,14 @@ def test_what_is_loaded_is_not_looked_at_again() -> None:
 COUNT_ARENAS = """
 import threading
 from pathlib import Path
-from cell.computer.memory import use_one_arena
+from cell.computer.memory import reuse_freed_memory
 
 def arenas():  # the C library lays each at a multiple of 64 MiB
     starts = (l.split("-")[0] for l in Path("/proc/self/maps").read_text().splitlines())
     return sum(int(start, 16) % 2**26 == 0 for start in starts)
 
 if {one}:
-    use_one_arena()
+    reuse_freed_memory()
 before, enough = arenas(), threading.Barrier(9)
 def work():
     kept = bytes(2000), [None] * 1000
@@ -73,3 +73,31 @@ def test_threads_get_no_heap_of_their_own() -> None:
     if not added(one=False):
         pytest.skip("another C library")
     assert added(one=True) == 0
+
+
+COUNT_PAGES = """
+import resource
+from cell.computer.memory import reuse_freed_memory
+
+if {reused}:
+    reuse_freed_memory()
+def frames():
+    return [bytearray(2_000_000) for _ in range(4)]
+frames()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(50):
+    frames()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pages are counted otherwise")
+def test_arrays_take_the_pages_of_freed_ones() -> None:
+    def pages(reused: bool) -> int:
+        script = COUNT_PAGES.format(reused=reused)
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+        return int(done.stdout)
+
+    if pages(reused=False) < 10_000:
+        pytest.skip("another C library")
+    assert pages(reused=True) < 4_000  # of 97,000

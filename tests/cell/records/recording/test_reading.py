@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import tracemalloc
+from collections import deque
 
 import cv2
 import numpy as np
@@ -89,6 +91,22 @@ def test_a_second_independent_reader_opens_it(make_recording):
         for c in chunks
     )
     assert all(picture(index).tobytes() in data for index in range(12))
+
+
+def test_one_frame_is_in_memory_not_all(tmp_path):
+    frame = bytes(1_000_000)
+    writer = RecordingWriter(tmp_path / form.FILE, {form.EPOCH: str(EPOCH_NS)})
+    for index in range(20):
+        writer.frame(index, 0.005 * index, 1000, 1000, frame)
+    writer.close({})
+    recording = read_recording(tmp_path)
+    for read in (recording.check, lambda: deque(recording.frames(), maxlen=0)):
+        tracemalloc.start()
+        try:
+            read()
+            assert tracemalloc.get_traced_memory()[1] < 6e6
+        finally:
+            tracemalloc.stop()
 
 
 def test_a_file_that_lacks_messages_is_torn(make_recording):
