@@ -62,7 +62,7 @@ compiled-effects: $(VENV)/.dev
 compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests begin at the same time
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
-tests: tests-real-time   # alone: nothing computes beside what runs in real time
+tests: tests-real-time   # nothing computes beside what runs in real time
 	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time'  # many tests wait
 
 # A part of its own, for who works on the lab; it takes the processor's spare time.
@@ -70,7 +70,7 @@ COMPUTING := tests/cell/lab
 
 # A camera, an arm's process or a serial line that is not served for 40 ms is lost.
 tests-real-time: $(VENV)/.dev
-	$(BIN)/pytest -m real_time tests/end_to_end tests/drivers
+	$(BIN)/pytest -n 2 --dist loadfile -m real_time tests/end_to_end tests/drivers
 
 tests-computing: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)
