@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -62,6 +63,7 @@ _SHEET_DATETIME = re.compile(
 )
 
 
+@lru_cache(maxsize=2**16)
 def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
     """The number in a cell; nan if the value is missing, None if the cell holds anything else.
 
