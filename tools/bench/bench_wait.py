@@ -206,17 +206,20 @@ def cycle_of(cell: Cell, number: int) -> Result:
 
 
 def cpu_s() -> float:
-    """CPU time of this process and its children so far, s."""
+    """CPU time of this process and its children so far, s; of ended ones to 10 ms."""
     return sum(cpu_of(pid) for pid in family(os.getpid()))
 
 
 def cpu_of(pid: int) -> float:
-    """CPU time of a process so far, s."""
-    total_ns = 0
+    """CPU time of a process so far, with its ended threads and children, s; 0 = there is none.
+
+    source  proc(5), `stat`; clock_getcpuclockid(3), whose number for a process is ~pid << 3 | 2
+    """
     with suppress(OSError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            total_ns += int((task / "schedstat").read_text().split()[0])
-    return 1e-9 * total_ns
+        after_name = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        ended = int(after_name[13]) + int(after_name[14])
+        return time.clock_gettime(~pid << 3 | 2) + ended / os.sysconf("SC_CLK_TCK")
+    return 0.0
 
 
 def spent(began: dict[str, tuple[float, float]], step: str, until: str) -> tuple[float, float]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -38,6 +40,18 @@ def test_waits_are_judged_beside_the_computers_own_stalls(
     said = capsys.readouterr().out
     assert "beyond the computer's own stall: 20 " in said
     assert bench._MISSED == ["milliseconds, 95 % of them"]
+
+
+def test_the_processor_time_of_an_ended_process_counts() -> None:
+    """It vanished: a hold within which a recording was finished took less than nothing."""
+    burn = "import time\nwhile time.process_time() < 0.3: pass\ninput()"
+    before_s = bench_wait.cpu_s()
+    child = subprocess.Popen([sys.executable, "-c", burn], stdin=subprocess.PIPE)
+    while bench_wait.cpu_of(child.pid) < 0.3:
+        time.sleep(0.01)
+    child.communicate(b"\n")
+    assert bench_wait.cpu_s() - before_s >= 0.29
+    assert bench_wait.cpu_of(child.pid) == 0.0
 
 
 def test_a_part_that_fails_does_not_end_the_others(
