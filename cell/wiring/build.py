@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.computer.memory import reuse_freed_memory
+from cell.computer.memory import use_one_arena
 from cell.computer.second_process import SecondProcess
 from cell.plan.choose import ChoiceOptions, Freedom
 from cell.plan.destination import Destination
@@ -173,7 +173,7 @@ def cell_with(
     archive  where its cycles are recorded and listed; None = nowhere
     others   tasks of further products, see `Cell`
     """
-    reuse_freed_memory()
+    use_one_arena()
     guarded = guarded_devices(settings, devices)
     watched = isinstance(devices.clock, RealClock)
     return Cell(

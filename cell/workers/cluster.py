@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from cell.cable.solver import one_core
-from cell.computer.memory import release_free_memory, reuse_freed_memory
+from cell.computer.memory import release_free_memory, use_one_arena
 from cell.workers.executor import Job, JobResult, Returned, WorkersError
 from cell.workers.identity import WorkerIdentity, identity
 from cell.workers.shipping import done, know_own_effects, pack, result_of
@@ -143,7 +143,7 @@ def cluster(address: str, tell: Callable[[str], None] = lambda note: None) -> It
             f"--workers {address}: the package `distributed` is missing; "
             f"install it: {install_extra('cluster')}"
         ) from error
-    reuse_freed_memory()  # of this process, as Dask's threads begin now
+    use_one_arena()  # of this process, as Dask's threads begin now
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

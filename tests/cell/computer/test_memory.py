@@ -42,14 +42,14 @@ def test_what_is_loaded_is_not_looked_at_again() -> None:
 COUNT_ARENAS = """
 import threading
 from pathlib import Path
-from cell.computer.memory import reuse_freed_memory
+from cell.computer.memory import use_one_arena
 
 def arenas():  # the C library lays each at a multiple of 64 MiB
     starts = (l.split("-")[0] for l in Path("/proc/self/maps").read_text().splitlines())
     return sum(int(start, 16) % 2**26 == 0 for start in starts)
 
 if {one}:
-    reuse_freed_memory()
+    use_one_arena()
 before, enough = arenas(), threading.Barrier(9)
 def work():
     kept = bytes(2000), [None] * 1000
