@@ -75,6 +75,16 @@ class ImportOptions:
         float | None,
         typer.Option("--rate", min=0.1, help="Rows a second, if the file has no time."),
     ] = None
+    clamp_angle: Annotated[
+        float | None,
+        typer.Option(
+            "--clamp-angle",
+            min=-3.2,
+            max=3.2,
+            help="Constant angle of the gripper, if no column has it, rad; 0 = level, positive = "
+            "tip down.",
+        ),
+    ] = None
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Of a video: settings of the cell that filmed it."),
@@ -252,6 +262,7 @@ def _understood(
         options.thickness,
         options.diameter,
         options.rate,
+        options.clamp_angle,
     )
     return files, understand(files, stated)
 

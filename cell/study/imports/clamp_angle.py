@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.contents import HAND, Contents, Point
-from cell.study.imports.gripper_section import BODY_AXES, AngleSection, AxesSection
+from cell.study.imports.gripper_section import (
+    BODY_AXES,
+    AngleSection,
+    AxesSection,
+    GripperSection,
+)
 from cell.study.imports.places import angle_of, body_axis, clamp_angle_rad, continuous
 from cell.study.imports.units import RADIANS
 from cell.study.series import wrapped
@@ -117,8 +124,35 @@ def clamp_angle(
     )
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"
+    sentence += "; a measured angle is stated by --clamp-angle"
     findings.guessed("hand.angle", sentence)
     return AngleSection(constant_rad=angle)
+
+
+def stated_angle(
+    path: Path, hand: GripperSection, stated_rad: float | None, root: Root, findings: ImportFindings
+) -> GripperSection:
+    """The gripper with the constant clamp angle that the user states; None = nothing is stated.
+
+    root      of the cable at rest
+    findings  those about the angle are replaced
+    raises    InputError: a column has the angle, or the cable contradicts the statement
+    """
+    if stated_rad is None:
+        return hand
+    option = f"--clamp-angle states {np.degrees(stated_rad):.1f}°"
+    if hand.angle.constant_rad is None and hand.angle != AngleSection():
+        found = " ".join(f.sentence for f in findings if f.entry == "hand.angle")
+        raise InputError.at(path, f"{option}, but {found}; leave the option out")
+    if abs(wrapped(root.rest_rad - stated_rad)) > root.agrees_rad:
+        shown, limit = np.degrees([root.rest_rad, root.agrees_rad])
+        message = f"{option}, but at rest the cable leaves the gripper at {shown:.1f}°, limit "
+        message += f"{limit:.0f}° apart; 0 = level, positive = tip down: correct the option, or "
+        message += "leave it out and check the `axes` of the proposal"
+        raise InputError.at(path, message)
+    findings[:] = [f for f in findings if f.entry != "hand.angle"]
+    findings.said("hand.angle", f"the clamp angle is {np.degrees(stated_rad):.2f}°, constant")
+    return hand.model_copy(update={"angle": AngleSection(constant_rad=stated_rad)})
 
 
 def _is_filler(quaternion: FloatArray, hand: str) -> bool:

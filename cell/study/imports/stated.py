@@ -24,6 +24,7 @@ class Stated:
     thickness_m: float | None = None
     diameter_m: float | None = None
     rate_hz: float | None = None
+    clamp_angle_rad: float | None = None
 
 
 def with_files(stated: Stated, captures: Sequence[Capture], findings: ImportFindings) -> Stated:

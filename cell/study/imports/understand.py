@@ -13,7 +13,7 @@ from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
-from cell.study.imports.clamp_angle import clamp_angle
+from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
 from cell.study.imports.convert import times_s
@@ -124,6 +124,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         hand = _gripper(first.capture, chosen, axes, scene, arcs, roots, findings)
     if gripper is not None and rest is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
+    rest_root = root_at_rest(scene, arcs)
+    hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, rest_root, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,

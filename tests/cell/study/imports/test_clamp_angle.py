@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.files.input_error import InputError
 from cell.files.yaml_document import Document
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.gripper_path import count_of, gripper_path, place_m, turn_of
@@ -48,9 +49,12 @@ def hand_of(m: Swing) -> dict[str, np.ndarray]:
     return {f"hand {a}": m.gripper_m[:, k] * 1e3 for k, a in enumerate("xy")}
 
 
-def understood(capture: Capture, hand: Capture | None = None) -> Understanding:
+def understood(
+    capture: Capture, hand: Capture | None = None, angle_rad: float | None = None
+) -> Understanding:
     files = Files("a", "a.csv", capture, None if hand is None else "hand.csv", hand)
-    return understand([files], Stated("a", LENGTH_M, 0.0074, 0.016, 1e-4))
+    stated = Stated("a", LENGTH_M, 0.0074, 0.016, 1e-4, clamp_angle_rad=angle_rad)
+    return understand([files], stated)
 
 
 def said(found: Understanding, entry: str) -> list[str]:
@@ -282,3 +286,20 @@ def test_an_arm_that_does_not_move_stays() -> None:
 def test_the_arm_points_to_the_left_and_turns_down() -> None:
     places = place_m(np.array([0.0, np.pi / 2.0]), TURNS)
     np.testing.assert_allclose(places, [[-0.4, 0.2], [0.1, -0.3]], atol=1e-12)
+
+
+def test_a_stated_angle_takes_the_place_of_the_estimate() -> None:
+    m = trial(np.full(len(T_S), 0.02))
+    found = understood(captured("a.csv", **hand_of(m), **markers_of(m)), angle_rad=0.0)
+    assert found.mapping.hand.angle.constant_rad == 0.0
+    assert said(found, "hand.angle") == ["the clamp angle is 0.00°, constant"]
+
+
+def test_an_angle_that_the_cable_or_a_column_contradicts_is_refused() -> None:
+    m = trial(np.full(len(T_S), 0.5))
+    columns = hand_of(m) | markers_of(m)
+    with pytest.raises(InputError, match=r"states 0\.0°, but at rest .* at 2\d\.\d°, limit 20°"):
+        understood(captured("a.csv", **columns), angle_rad=0.0)
+    columns["hand angle_deg"] = np.degrees(m.angle_rad) + np.degrees(noise(1))
+    with pytest.raises(InputError, match="but the clamp angle is column 'hand angle_deg' in deg"):
+        understood(captured("a.csv", **columns), angle_rad=0.5)
