@@ -233,7 +233,7 @@ def _propose(options: ImportOptions) -> NoReturn:
     )
     if options.look:
         typer.launch(str(preview))
-    wanted = any(f.sure is Sure.WANTED for f in understood.findings)
+    wanted = any(f.sure is Sure.MISSING for f in understood.findings)
     raise typer.Exit(NOT_ALL_DONE if look.wrong or wanted else ALL_DONE)
 
 

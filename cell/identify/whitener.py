@@ -74,16 +74,16 @@ class Whitener:
         self.frames, markers = finite.shape[:2]
         if noise.across_only:
             self._axes = np.ascontiguousarray(across(markers_m)[:, :, None])
-            self.seen = np.asarray(finite.all(axis=-1, keepdims=True), dtype=np.bool_)
-            measured = self.seen
+            self.observed = np.asarray(finite.all(axis=-1, keepdims=True), dtype=np.bool_)
+            measured = self.observed
         else:
             self._axes = np.broadcast_to(np.eye(2), (self.frames, markers, 2, 2)).copy()
-            self.seen = measured = finite
+            self.observed = measured = finite
         self.measured = np.where(measured, markers_m, 0.0)
         self.channels = self._axes.shape[2]
         self.rows = markers * self.channels * self.frames
-        tares = self.seen[:, markers - len(gauges) :].any(axis=0)
-        self.count = int(self.seen.sum()) - int(tares.sum())
+        tares = self.observed[:, markers - len(gauges) :].any(axis=0)
+        self.count = int(self.observed.sum()) - int(tares.sum())
         each = [noise] * (markers - len(gauges)) + list(gauges)
         self._memory, self._weight, self._gain = self._innovations(each)
         if levels is not None:
@@ -121,7 +121,7 @@ class Whitener:
             return shown
         for marker in range(-self._gauges, 0):
             for axis in range(2):
-                observed = self.seen[:, marker, axis] & sensors.rows
+                observed = self.observed[:, marker, axis] & sensors.rows
                 if observed.any():
                     values = self.measured[observed, marker, axis]
                     shown[observed, marker, axis] = _moving_mean(values - values.mean())
@@ -139,7 +139,7 @@ class Whitener:
         """Arrays of `innovations`, (markers, channels, T), each series in its own rows."""
         shape, sensors = (len(each), self.channels, self.frames), self._sensors
         if sensors is None:
-            noise, series = self.noise, self.seen.reshape(self.frames, -1)
+            noise, series = self.noise, self.observed.reshape(self.frames, -1)
             memory, weight, gain = (
                 v.reshape(shape) for v in innovations(series, noise.std_m, noise.ar1, noise.white)
             )
@@ -147,7 +147,7 @@ class Whitener:
         memory, weight, gain = np.zeros(shape), np.zeros(shape), np.ones(shape)
         for marker, noise in enumerate(each):
             own = sensors.frames if marker < len(each) - self._gauges else sensors.rows
-            parts = innovations(self.seen[own, marker], noise.std_m, noise.ar1, noise.white)
+            parts = innovations(self.observed[own, marker], noise.std_m, noise.ar1, noise.white)
             for full, part in zip((memory, weight, gain), parts, strict=True):
                 full[marker][:, own] = part
         return memory, weight, gain
@@ -212,7 +212,7 @@ class Whitener:
             gram = np.eye(len(self._together)) + self._together @ self._together.T
             sizes = np.linalg.solve(gram, self._together @ rows)
             predicted_m = predicted_m + np.einsum("k,ktmc->tmc", sizes, self._together_m)
-        error_m = np.where(self.seen, self.measured - predicted_m, np.nan)
+        error_m = np.where(self.observed, self.measured - predicted_m, np.nan)
         if self._gauges:
             white = self(predicted_m[None])
             error_m[:, -self._gauges :] = self.error_m(white)[:, -self._gauges :]
@@ -229,8 +229,8 @@ class Whitener:
         Cosines in time and polynomials along the cable span them.  They hold a model's misfit, but
         only a few per cent of the noise.
         """
-        first = self.seen.shape[1] - self._gauges
-        return tuple(_smooth_modes(self.seen[..., c], first) for c in range(self.channels))
+        first = self.observed.shape[1] - self._gauges
+        return tuple(_smooth_modes(self.observed[..., c], first) for c in range(self.channels))
 
     def error_m(self, white: FloatArray) -> FloatArray:
         """(T, markers, channels) measurement errors from white residuals (rows,), m; nan if unseen.
@@ -243,7 +243,7 @@ class Whitener:
         back = (1.0 / self._constant_factor - 1.0) / self._size
         back[len(back) - self._gauges :] = 0.0
         fresh = fresh + (back * along)[..., None] * self._ones
-        error = np.full(self.seen.shape, np.nan)
+        error = np.full(self.observed.shape, np.nan)
         coloured(np.ascontiguousarray(fresh), self._memory, self._weight, self._gain, error)
         return error
 

@@ -278,10 +278,10 @@ def _frequencies(facts: TrialFacts) -> str:
 
 
 _HEADS = {
-    Sure.WANTED: "To be filled in:",
+    Sure.MISSING: "To be filled in:",
     Sure.GUESSED: "Guesses, to be checked:",
-    Sure.SEEN: "The data show:",
-    Sure.SAID: "The file states:",
+    Sure.SHOWN: "The data show:",
+    Sure.STATED: "The file states:",
 }
 
 
@@ -299,7 +299,7 @@ def preview_of(
     }
     trials, problems = trials_of(read, captures)
     notes = [note for capture in captures.values() for note in capture.notes]
-    if not problems and not any(f.sure is Sure.WANTED for f in understood.findings):
+    if not problems and not any(f.sure is Sure.MISSING for f in understood.findings):
         try:
             imported = study_of(read, captures)
             notes = [*imported.notes, *notes_of_samples(imported.study)]

@@ -66,7 +66,7 @@ def _draws(residual: AllTrialsResidual, count: int) -> Iterator[FloatArray]:
     """Yield (rows,) residuals of a complete model, with a fixed random seed."""
     rng = np.random.default_rng(20261125)
     linear, errors = residual.all_trials.linear, residual.components[1 : 1 + residual.errors]
-    valid = np.concatenate([w.seen.transpose(1, 2, 0).ravel() for w in residual.whiteners])
+    valid = np.concatenate([w.observed.transpose(1, 2, 0).ravel() for w in residual.whiteners])
     valid = np.append(valid, np.zeros(residual.components.shape[1] - len(valid), dtype=bool))
     for _ in range(count):
         noise = np.where(valid, rng.standard_normal(len(valid)), 0.0)
@@ -77,7 +77,7 @@ def _residuals(residual: AllTrialsResidual, rows: FloatArray) -> list[Residual]:
     """Rows as the residuals that a check receives, by trial; scaled to rms 1."""
     prepared = residual.all_trials.prepared
     parts = residual.all_trials.systematic_error.by_trial(rows)
-    valid = [np.moveaxis(w.seen, 0, -1) for w in residual.whiteners]
+    valid = [np.moveaxis(w.observed, 0, -1) for w in residual.whiteners]
     white = [
         np.where(s, part.reshape(s.shape), np.nan) for part, s in zip(parts, valid, strict=True)
     ]

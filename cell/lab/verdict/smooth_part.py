@@ -289,7 +289,7 @@ class FastPart:
             modes = whitener.smooth_modes[channel]
             series = grid[:, channel]
             fast = series - (modes @ (modes.T @ series.ravel())).reshape(series.shape)
-            observed = whitener.seen[..., channel].T
+            observed = whitener.observed[..., channel].T
             fast = np.where(observed, fast, 0.0)
             shaped = modes.reshape(*series.shape, -1)
             square += float(np.sum(fast**2))

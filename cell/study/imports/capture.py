@@ -139,13 +139,13 @@ def _sheet_datetime_s(text: str) -> float | None:
 class Sure(Enum):
     """Source of a proposed entry, and so how certain it is."""
 
-    SAID = "said"
+    STATED = "stated"
     """The file states it."""
-    SEEN = "seen"
+    SHOWN = "shown"
     """The data show it."""
     GUESSED = "guessed"
     """It is a default, or only indicated: the user must check it."""
-    WANTED = "wanted"
+    MISSING = "missing"
     """It cannot be determined from the file: the user must give it."""
 
 
@@ -165,21 +165,21 @@ class Finding:
 class ImportFindings(list[Finding]):
     """Findings about a proposed mapping, in the order of their detection."""
 
-    def said(self, entry: str, sentence: str) -> None:
+    def stated(self, entry: str, sentence: str) -> None:
         """Add a finding that a file states about an entry."""
-        self.append(Finding(entry, sentence, Sure.SAID))
+        self.append(Finding(entry, sentence, Sure.STATED))
 
-    def seen(self, entry: str, sentence: str) -> None:
+    def shown(self, entry: str, sentence: str) -> None:
         """Add a finding that the data show."""
-        self.append(Finding(entry, sentence, Sure.SEEN))
+        self.append(Finding(entry, sentence, Sure.SHOWN))
 
     def guessed(self, entry: str, sentence: str) -> None:
         """Add a finding that the user must check."""
         self.append(Finding(entry, sentence, Sure.GUESSED))
 
-    def wanted(self, entry: str, sentence: str) -> None:
+    def missing(self, entry: str, sentence: str) -> None:
         """Add an entry that the user must give."""
-        self.append(Finding(entry, sentence, Sure.WANTED))
+        self.append(Finding(entry, sentence, Sure.MISSING))
 
 
 #: Name of the column of times of a file that has none.

@@ -66,7 +66,7 @@ def choose(
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
     _check_distinct(capture, points, raw)
     for value in lost:
-        findings.seen("lost", f"{value:g} in all coordinates means that a marker was not seen")
+        findings.shown("lost", f"{value:g} in all coordinates means that a marker was not seen")
     named = [p for p in points if p.on_gripper]
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the gripper
@@ -109,7 +109,7 @@ def choose(
     else:
         order = [cable[i - 1] for i in chain(_at_rest([hand, *cable], raw), 0)[1:]]
     names = " → ".join(p.name for p in order)
-    findings.seen(
+    findings.shown(
         "markers",
         f"from the gripper to the tip the markers are {names}, each nearest to the one before",
     )
@@ -168,7 +168,7 @@ def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
     for p in cable if named else ():
         if p not in named:
             sentence = f"{p.name!r} is no marker of the cable by its name: it is left out"
-            findings.seen("markers", sentence)
+            findings.shown("markers", sentence)
     return named or list(cable)
 
 
@@ -249,7 +249,7 @@ def _moving(
     fixed = [p for p in cable if reach[p.name] <= STAYS * largest or not np.isfinite(reach[p.name])]
     clamp = fixed[0] if len(fixed) == 1 and np.isfinite(reach[fixed[0].name]) else None
     for p in fixed if clamp is None else ():
-        findings.seen("markers", f"{p.name!r} never moves or is never seen: it is left out")
+        findings.shown("markers", f"{p.name!r} never moves or is never seen: it is left out")
     return [p for p in cable if p not in fixed], clamp
 
 
@@ -328,7 +328,7 @@ def _without_body(
             if p in rigid and float((places[i] - hand) @ towards) < 0.0]  # fmt: skip
     for p in body:
         sentence = f"{p.name!r} moves with the gripper as one body, away from the cable: it is left"
-        findings.seen("markers", f"{sentence} out")
+        findings.shown("markers", f"{sentence} out")
     return [p for p in cable if p not in body]
 
 

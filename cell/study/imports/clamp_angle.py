@@ -151,7 +151,7 @@ def stated_angle(
         message += "leave it out and check the `axes` of the proposal"
         raise InputError.at(path, message)
     findings[:] = [f for f in findings if f.entry != "hand.angle"]
-    findings.said("hand.angle", f"the clamp angle is {np.degrees(stated_rad):.2f}°, constant")
+    findings.stated("hand.angle", f"the clamp angle is {np.degrees(stated_rad):.2f}°, constant")
     return hand.model_copy(update={"angle": AngleSection(constant_rad=stated_rad)})
 
 
@@ -223,7 +223,7 @@ def _section_of_column(
         why = f"it is 0 throughout {capture.path.name}"
     if best.quarters and not needs_offset:
         which += f", turned by {90 * best.quarters}°"
-    report = findings.seen if best.is_measured or not is_nonzero else findings.guessed
+    report = findings.shown if best.is_measured or not is_nonzero else findings.guessed
     stated = ", as the file says" if unit in RADIANS else ""
     report("hand.angle", f"the clamp angle is column {name!r} in {word}{stated}; {which}: {why}")
     if needs_offset:

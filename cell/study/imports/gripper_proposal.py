@@ -63,7 +63,7 @@ def sensor_section(
         section = _rotary(capture, inside, axes, root, findings)
     section = section.model_copy(update=of_file)
     for key, remedy in entries_to_fill_in(section):
-        findings.wanted("hand", f"give {'.'.join(map(str, key))}: {remedy}")
+        findings.missing("hand", f"give {'.'.join(map(str, key))}: {remedy}")
     return section
 
 
@@ -124,11 +124,11 @@ def _by_acceleration(
 def _unit(stated: str, size: float) -> tuple[float | None, Sure, str]:
     """m/s² per unit, its certainty and the reason; size: magnitude at rest in the file's unit."""
     if stated in ACCELERATIONS:
-        return ACCELERATIONS[stated], Sure.SAID, f"in {stated}, as the file says"
+        return ACCELERATIONS[stated], Sure.STATED, f"in {stated}, as the file says"
     for name, unit in ACCELERATIONS.items():
         if abs(size * unit / ACCELERATIONS["g"] - 1.0) < _GRAVITY_SHARE:
             return unit, Sure.GUESSED, f"in {name}: it is {size:.4g} at rest"
-    return None, Sure.WANTED, f"in a unit that is not known: it is {size:.4g} at rest"
+    return None, Sure.MISSING, f"in a unit that is not known: it is {size:.4g} at rest"
 
 
 def _axes(
@@ -284,14 +284,14 @@ def section_of_file(
         findings.append(time_finding)
         if inside.has_gripper_sensor:
             return sensor_section(capture, inside, axes, root, of_file, findings)
-        findings.wanted(
+        findings.missing(
             "hand",
             f"no place of the gripper is known in {file}: name two columns of it as hand.columns, "
             "that of its axle's encoder in hand.turns, or those of an accelerometer on it in "
             "hand.acceleration",
         )
         columns = first_of(capture.names, _MAX_LISTED)
-        findings.seen("hand", f"columns of {file}: {columns}")
+        findings.shown("hand", f"columns of {file}: {columns}")
         return GripperSection(angle=AngleSection(), **of_file)
     findings.guessed("hand", f"{point.name!r} of {file} is the gripping point")
     own = None
@@ -319,7 +319,7 @@ def _unit_of_place(
     marker_m = 0.0 if nearest is None else reach(nearest.xy_m)
     span = 0.0 if nearest is None else reach(nearest.hand)
     stated = METRES.get(point.unit)
-    as_stated = Finding("hand", f"lengths are in {point.unit}, as it says", Sure.SAID)
+    as_stated = Finding("hand", f"lengths are in {point.unit}, as it says", Sure.STATED)
     names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
     tried = [u for u in (scale, *names) if u is not None]
     fitting = [u for u in tried if span > 0.0 and 1 / _MAX_RATIO < u * span / marker_m < _MAX_RATIO]
@@ -332,12 +332,12 @@ def _unit_of_place(
     spans = f"in {names.get(unit, f'{unit:g} m')} it moves by {unit * span:.3g} m, the marker next "
     spans += f"to it by {marker_m:.3g} m"
     if stated is None:
-        return unit, Finding("hand.metres_per_unit", f"{spans}: so that is its unit", Sure.SEEN)
+        return unit, Finding("hand.metres_per_unit", f"{spans}: so that is its unit", Sure.SHOWN)
     if 1 / _MAX_RATIO < stated * span / marker_m < _MAX_RATIO:
         return stated, as_stated
     sentence = f"it says {point.unit}, and would move by {stated * span:.3g} m, yet {spans}; give "
     sentence += f"hand.metres_per_unit: {unit:g}"
-    return stated, Finding("hand.metres_per_unit", sentence, Sure.WANTED)
+    return stated, Finding("hand.metres_per_unit", sentence, Sure.MISSING)
 
 
 def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -20,7 +21,6 @@ from cell.study.imports.row_trials import (
     with_words,
 )
 from cell.study.imports.tracks import along_cable
-from cell.study.imports.whole_times import with_whole_times
 
 #: A table, and its text columns by name.
 Labelled = tuple[Capture, dict[str, list[str]]]
@@ -38,6 +38,9 @@ _COORDINATE_LABELS = frozenset(("field", "axis", "coord", "coordinate", "variabl
 _MAX_KEYS = 3
 #: Maximum number of labels; a column with more values does not name points.
 _MAX_LABELS = 300
+#: Name of a column of integer seconds or nanoseconds.
+_TIME_PART = re.compile(r"(.*?)[\s_./]*\b(?:(secs?|seconds)|(nsecs?|nanosecs?|nanoseconds))")
+_SECOND_NS = 1e9
 
 
 def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
@@ -46,7 +49,7 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     labels  text columns, by name
     raises  InputError: a marker has two rows at one time
     """
-    capture = with_whole_times(capture)
+    capture = with_joined_times(capture)
     time = time_column(capture)
     if time is None:
         return _without_text(capture, list(labels))
@@ -356,3 +359,32 @@ def joined(table: Capture, extra: Capture) -> Capture:
         values=np.hstack([table.values, extra.values[:, new]]),
         notes=(*table.notes, *extra.notes),
     )
+
+
+def with_joined_times(capture: Capture) -> Capture:
+    """The file with one column of seconds for each pair such as `stamp sec`, `stamp nanosec`."""
+    stems = [_stem_and_unit(column) for column in capture.columns]
+    columns, values, dropped = list(capture.columns), capture.values.copy(), set[int]()
+    for i, (stem, unit) in enumerate(stems):
+        k = stems.index((stem, "ns")) if (stem, "ns") in stems else None
+        if unit != "s" or k is None or not _is_subsecond(values[:, k]):
+            continue
+        name = stem if stem.endswith(("stamp", "time", "Time")) else f"{stem} time".strip()
+        columns[i] = CapturedColumn(name, "s")
+        values[:, i] += values[:, k] / _SECOND_NS
+        dropped.add(k)
+    used = [i for i in range(len(columns)) if i not in dropped]
+    return replace(capture, columns=tuple(columns[i] for i in used), values=values[:, used])
+
+
+def _stem_and_unit(column: CapturedColumn) -> tuple[str, str]:
+    """Name of a column without its unit, and s or ns; else its name and its stated unit."""
+    match = _TIME_PART.fullmatch(column.name.replace("_", " "))
+    if match is not None and not column.unit:
+        return match[1], "s" if match[2] else "ns"
+    return column.name.replace("_", " "), column.unit
+
+
+def _is_subsecond(part_ns: np.ndarray) -> bool:
+    finite = part_ns[np.isfinite(part_ns)]
+    return bool(len(finite) and np.all(finite >= 0.0) and np.all(finite < _SECOND_NS))

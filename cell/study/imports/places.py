@@ -48,10 +48,10 @@ def find_axes(
     right, remark = _right(places, shape, normal, up.direction)
     findings = ImportFindings()
     if normal is not None:
-        findings.seen("axes", f"the motion is in one plane, {depth:.2g} of its size out of it")
+        findings.shown("axes", f"the motion is in one plane, {depth:.2g} of its size out of it")
     findings.append(Finding("axes.up", f"up is {_words(up.direction)}: {up.why}", up.sure))
     sentence = f"right is {_words(right)}: so the cable leaves the gripper to the left{remark}"
-    findings.seen("axes.right", sentence)
+    findings.shown("axes.right", sentence)
     section = AxesSection(right=_plain(right, dimensions), up=_plain(up.direction, dimensions))
     return section, findings
 
@@ -90,7 +90,7 @@ def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | No
         chosen = default
     direction = np.zeros(dimensions)
     direction[chosen] = -np.sign(mean_bend[chosen])
-    sure = Sure.SEEN if chosen == default else Sure.GUESSED
+    sure = Sure.SHOWN if chosen == default else Sure.GUESSED
     return _Up(direction, sure, "at rest the cable bends the other way, as gravity does it")
 
 

@@ -57,7 +57,7 @@ def time_section(
     else:
         epoch = "" if counts or rate_hz is not None else epoch_unit(capture.column(column))
         if epoch:
-            unit, sure, why = SECONDS[epoch], Sure.SEEN, f"{epoch} since 1970, by their size"
+            unit, sure, why = SECONDS[epoch], Sure.SHOWN, f"{epoch} since 1970, by their size"
         else:
             unit, sure, why = _second(counts, step, steps, rate_hz, capture.rate_hz)
         if unit is None and lasts_s is not None:
@@ -112,9 +112,9 @@ def _as_stated(
         if all(abs(step * unit * rate_hz - 1.0) > _RATE_ERROR for step in steps):
             shown = f"the file says {name}, which makes {1.0 / (steps[0] * unit):.4g} rows a second"
             if source.startswith("--"):
-                return None, Sure.WANTED, f"{shown}, yet {source} {rate_hz:g}"
+                return None, Sure.MISSING, f"{shown}, yet {source} {rate_hz:g}"
             return unit, Sure.GUESSED, f"{shown}, though {source} {rate_hz:g}"
-    return unit, Sure.SAID, f"the file says {name}"
+    return unit, Sure.STATED, f"the file says {name}"
 
 
 def _second(
@@ -127,31 +127,31 @@ def _second(
     rate_hz = wanted_hz or file_hz
     if counts:
         if rate_hz is None:
-            return None, Sure.WANTED, "it counts rows, and no rate is stated"
-        return 1.0 / rate_hz, Sure.SAID, f"{rate_hz:g} rows a second are stated"
+            return None, Sure.MISSING, "it counts rows, and no rate is stated"
+        return 1.0 / rate_hz, Sure.STATED, f"{rate_hz:g} rows a second are stated"
     by_steps, sure, why = _by_steps(step, steps)
     if rate_hz is not None and step > 0.0:
         target = 1.0 / rate_hz / step
         units = (SECONDS | _DAY).values()
         unit = min(units, key=lambda u: abs(np.log(u / target)))
         if abs(np.log(unit / target)) <= _RATE_ERROR:
-            return unit, Sure.SAID, f"{rate_hz:g} rows a second are stated"
+            return unit, Sure.STATED, f"{rate_hz:g} rows a second are stated"
         if wanted_hz is None and by_steps and abs(np.log(by_steps / target)) < np.log(_RATE_RATIO):
             return by_steps, sure, f"{why}, though the file states {rate_hz:g} rows a second"
-        return float(f"{target:.6g}"), Sure.SAID, f"{rate_hz:g} rows a second are stated"
+        return float(f"{target:.6g}"), Sure.STATED, f"{rate_hz:g} rows a second are stated"
     return by_steps, sure, why
 
 
 def _by_steps(step: float, steps: FloatArray) -> tuple[float | None, Sure, str]:
     """Seconds a unit by the steps between rows, how sure, and why."""
     if len(steps) and np.all(steps == 1.0):
-        return None, Sure.WANTED, "frames, or milliseconds"
+        return None, Sure.MISSING, "frames, or milliseconds"
     low_hz, high_hz = FILM_RATES_HZ
     for name in ("s", "ms", "µs", "ns", "day"):
         unit = (SECONDS | _DAY)[name]
         if step > 0.0 and low_hz <= 1.0 / (step * unit) <= high_hz:
             return unit, Sure.GUESSED, f"{name}, a guess by steps of {step:.4g}"
-    return None, Sure.WANTED, "no unit makes it a film"
+    return None, Sure.MISSING, "no unit makes it a film"
 
 
 def _by_duration(span: float, lasts_s: float) -> tuple[float, Sure, str] | None:
@@ -186,16 +186,16 @@ def metres_per_unit(
         against = against if free_length_m is None else f"{free_length_m:g} m"
         sentence = f"the file says {stated}, which makes the markers span {long} of a cable of "
         sentence += f"{against}; give metres_per_unit{_remedy(extent, free_length_m)}"
-        return None, Finding("metres_per_unit", sentence, Sure.WANTED)
+        return None, Finding("metres_per_unit", sentence, Sure.MISSING)
     if stated:
         sentence = f"lengths are in {stated}, as the file says"
-        return METRES[stated], Finding("metres_per_unit", sentence, Sure.SAID)
+        return METRES[stated], Finding("metres_per_unit", sentence, Sure.STATED)
     if free_length_m is not None and extent > 0.0:
         unit = free_length_m / extent
         name = min(METRES, key=lambda n: abs(np.log(METRES[n] / unit)))
         if abs(np.log(METRES[name] / unit)) < np.log1p(_LENGTH_ERROR):
             sentence = f"lengths are in {name}: the markers span {extent:.4g} of the cable"
-            return METRES[name], Finding("metres_per_unit", sentence, Sure.SEEN)
+            return METRES[name], Finding("metres_per_unit", sentence, Sure.SHOWN)
         sentence = (
             f"a unit of length is {unit:.4g} m, so that the markers span the free length; if it is "
             f"{name}, they span {extent * METRES[name]:.3g} m: one is missing, or the gripper"
@@ -209,7 +209,7 @@ def metres_per_unit(
             sentence = f"lengths are in {candidates[0]}, a guess by their size {extent:.4g}{others}"
             return METRES[candidates[0]], Finding("metres_per_unit", sentence, Sure.GUESSED)
     sentence = "the unit of length is not known; give metres_per_unit, or --free-length"
-    return None, Finding("metres_per_unit", sentence, Sure.WANTED)
+    return None, Finding("metres_per_unit", sentence, Sure.MISSING)
 
 
 def _remedy(extent: float, free_length_m: float | None) -> str:

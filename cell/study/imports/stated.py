@@ -48,5 +48,5 @@ def with_files(stated: Stated, captures: Sequence[Capture], findings: ImportFind
                 known, source = value, capture.path.name
         if known is not None and user_value is None:
             stated = replace(stated, **{name: known})
-            findings.said(f"cable.{name}", f"{name} is {known:g}, as {source} says")
+            findings.stated(f"cable.{name}", f"{name} is {known:g}, as {source} says")
     return stated

@@ -129,7 +129,7 @@ def by_rows(trials: Sequence[Files], findings: ImportFindings) -> list[Files]:
             )
             result.append(part)
         sentence = f"{files.capture.path.name}: column {column!r} tells {len(labels)} trials apart"
-        findings.said("trials.only", sentence)
+        findings.stated("trials.only", sentence)
     return result
 
 

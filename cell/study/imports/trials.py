@@ -108,7 +108,7 @@ def _overrides(
         if form != text and form is not None:
             overrides[f"{prefix}text"] = form
             sentence = f"{capture.path.name}: cells are separated by {form.separator!r}, "
-            findings.seen("trials.text", f"{sentence}the decimal mark is {form.decimal!r}")
+            findings.shown("trials.text", f"{sentence}the decimal mark is {form.decimal!r}")
         unit = _seconds_per_unit(capture, time, stated_hz, findings)
         if unit is not None:
             overrides[f"{prefix}seconds_per_unit"] = unit
@@ -124,10 +124,10 @@ def _seconds_per_unit(
     if stated.column != section.column or unit == first_unit:
         return None
     entry, name = "trials.seconds_per_unit", capture.path.name
-    if finding.sure is Sure.SAID and unit is not None:
-        findings.said(entry, f"{name}: {finding.sentence}")
+    if finding.sure is Sure.STATED and unit is not None:
+        findings.stated(entry, f"{name}: {finding.sentence}")
         return unit
-    if finding.sure is Sure.WANTED and first_unit is not None:
+    if finding.sure is Sure.MISSING and first_unit is not None:
         sentence = f"{name} states no rate: it is taken as that of the first trial, "
         findings.guessed(entry, f"{sentence}{1.0 / first_unit:g} rows a second")
     return None
@@ -312,7 +312,7 @@ def _clock(
     limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(observed[0]))))
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
-        findings.seen("clock_offset_s", sentence)
+        findings.shown("clock_offset_s", sentence)
         return 0.0
     shift_s = round(shift_s, 4)
     if files.in_one and hand[0][0] < observed[0][-1] and observed[0][0] < hand[0][-1]:
@@ -349,7 +349,7 @@ def _start(
     rest = rest_rows(xy_m)
     if rest.stop < FEWEST_REST:
         sentence = f"{name}: the cable moves from the first row on: start moving"
-        findings.seen("trials.start", sentence)
+        findings.shown("trials.start", sentence)
         return {"start": "moving"}
     if hand is None:
         sentence = f"{name}: the cable is at rest at first: start equilibrium"
@@ -361,7 +361,7 @@ def _start(
     delay_s = 0.15 + float(np.sqrt(length_m / 9.81))  # as `cell.study.clocks` allows it
     if begins_s == np.inf or moves_s <= begins_s + delay_s:
         sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
-        findings.seen("trials.start", sentence)
+        findings.shown("trials.start", sentence)
         return {"start": "equilibrium"}
     sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper does not: let go (start "
     findings.guessed("trials.start", f"{sentence}held)")

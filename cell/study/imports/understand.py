@@ -174,11 +174,11 @@ def _of_image(finding: Finding, axes: AxesSection, raw: FloatArray) -> Finding:
 
     raw  (rows, points, d) places in the file's unit
     """
-    if finding.sure not in (Sure.SEEN, Sure.GUESSED) or not axes.up[1] < -_DOWN:
+    if finding.sure not in (Sure.SHOWN, Sure.GUESSED) or not axes.up[1] < -_DOWN:
         return finding
     if np.nanmin(raw) >= 0.0 and np.nanmax(raw) <= 1.0:
         unit = "shares of an image's size, multiply x by its width and y by its height in pixels"
-    elif finding.sure is Sure.SEEN:
+    elif finding.sure is Sure.SHOWN:
         unit = "pixels, give metres_per_unit"
     else:
         return finding
@@ -193,7 +193,7 @@ def _arcs(
     how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
     if not known or (not scene.from_gripper and length_m is None):
         needs = "needs --free-length" if known else "is known with the unit of length"
-        findings.wanted("markers", f"where the markers are along the cable {needs}")
+        findings.missing("markers", f"where the markers are along the cable {needs}")
         return [None] * len(chosen.markers)
     if not scene.from_gripper and length_m is not None:
         lengths = lengths + length_m - lengths[-1]
@@ -203,7 +203,7 @@ def _arcs(
         how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {reason}"
     if not np.isfinite(lengths).all():
         sentence = "where the markers are along the cable is not known, for no row shows "
-        findings.wanted("markers", f"{sentence}two neighbours of each; measure arc_length_m")
+        findings.missing("markers", f"{sentence}two neighbours of each; measure arc_length_m")
         return [None] * len(chosen.markers)
     arcs = [round(float(s), 5) for s in lengths]
     if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
@@ -364,13 +364,13 @@ def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
             "give cable.line_density_kg_per_m, or --line-density: the mass of a piece divided "
         )
         sentence += "by its length"
-        findings.wanted("cable.line_density_kg_per_m", sentence)
+        findings.missing("cable.line_density_kg_per_m", sentence)
     if cable.diameter_m is None and None in (cable.width_m, cable.thickness_m):
         sentence = (
             "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one, or "
         )
         sentence += "--width and --thickness, or --diameter"
-        findings.wanted("cable", sentence)
+        findings.missing("cable", sentence)
 
 
 def _add_unused(
@@ -390,4 +390,4 @@ def _add_unused(
     sentence = f"not used of {capture.path.name}: columns {first_of(unused, 8)}"
     if any(is_of_wrench(name) for name in unused):
         sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
-    findings.seen("unused", sentence)
+    findings.shown("unused", sentence)

@@ -58,7 +58,7 @@ def study_from(
             section[last] = value
         proposal.write_text(yaml.safe_dump(content))
     read = read_mapping(proposal)
-    doubts = [f for f in understood.findings if f.sure in (Sure.GUESSED, Sure.WANTED)]
+    doubts = [f for f in understood.findings if f.sure in (Sure.GUESSED, Sure.MISSING)]
     said = " ".join(f"{f.entry}: {f.sentence}" for f in doubts)
     return study_of(read, read_captures(read)).study, said
 
