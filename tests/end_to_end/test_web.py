@@ -73,6 +73,9 @@ def browser(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
         yield browser.driver
 
 
+#: The link of the history's second row; the page replaces its rows once more after it has opened.
+SECOND_ROW = "[data-test=cycles] tbody tr:nth-child(2) a"
+
 #: Is an element where it was two pictures ago, and nothing that holds it animated?
 _STANDS_STILL = """
 const [element, done] = arguments;
@@ -100,7 +103,10 @@ class LivePage:
         return str(self._browser.execute_script(script, css))
 
     def click(self, what: str) -> None:
-        """Once it stands still: a click at where a moving element was goes to what is behind it."""
+        """Once it stands still: a click at where a moving element was goes to what is behind it.
+
+        what  as `data-test` names it, or a CSS selector that begins with a bracket
+        """
         self._do(what, lambda element: element.click(), still=True)
 
     def click_until(self, what: str, where: str, said: str) -> None:
@@ -170,7 +176,8 @@ class LivePage:
         )
 
         try:
-            element = self._browser.find_element("css selector", f"[data-test='{what}']")
+            css = what if what.startswith("[") else f"[data-test='{what}']"
+            element = self._browser.find_element("css selector", css)
             if not (element.is_enabled() and element.is_displayed()):
                 return False
             if still and not self._browser.execute_async_script(_STANDS_STILL, element):
@@ -235,7 +242,7 @@ def test_cables_inserted_held_stopped_and_acknowledged_from_the_page(
     rows = wait_until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
     assert len(rows) == 4
     assert f"{PART}3" in page.text("cycles")
-    rows[1].click()
+    page.click(SECOND_ROW)
     wait_until(lambda: "inserted at offset" in page.text("says"))
     assert "`recording: null`" in page.text("no-film")
     assert f"Part {PART}3" in page.text_at("main, .q-page")
@@ -273,8 +280,7 @@ def test_a_missed_cable_is_told_and_the_next_one_is_inserted(
     table = page.text("lost-time")
     assert all(cause in table for cause in ("rejected", "missed", "waiting for a start"))
     assert "with a learned model: cannot tell" in table
-    rows = wait_until(lambda: browser.find_elements("css selector", "[data-test=cycles] tbody a"))
-    rows[1].click()  # the newest stands first
+    page.click(SECOND_ROW)  # the newest stands first
     wait_until(lambda: "the tip missed the destination by" in page.text("says"))
 
 
