@@ -75,7 +75,9 @@ class StepRunner:
     def _do(self, progress: CycleProgress, step: Step) -> None:
         """Do a step, its further work, and its record."""
         progress.step = step.name
-        progress.record.state(step=step.name, state=self._machine.state.value)
+        # a rename waits for the disk's journal, for a second while a recording is finished
+        written = progress.record.note if step.time_critical else progress.record.state
+        written(step=step.name, state=self._machine.state.value)
         progress.recording.state(self._machine.state.value, step.name)
         if not step.time_critical:
             progress.recording.record_findings(progress.findings, progress.station)

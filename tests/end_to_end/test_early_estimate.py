@@ -83,10 +83,8 @@ def test_after_the_last_frame_nothing_is_simulated(
     assert all(name.startswith("ahead") for name in deciding)
 
 
-def test_a_hand_that_waits_waits_for_one_write_per_step(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A disk takes milliseconds for each: what a step took is written with the next step's name."""
+def test_a_hand_that_waits_waits_for_one_write(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk takes milliseconds for each, and seconds where another program keeps it busy."""
     written: list[str] = []
 
     def counted(path: Path, content: str | bytes) -> None:
@@ -98,12 +96,12 @@ def test_a_hand_that_waits_waits_for_one_write_per_step(
     deciding: list[str] = []
     it = live(
         {
-            "identify": lambda it: written.clear(),
+            "hold_and_capture": lambda it: written.clear(),
             "execute": lambda it: deciding.extend(written),
         }
     )
     result = it.cell.run_cycle(1)
-    assert deciding == ["state.json"] * 3  # simulate, choose, execute
+    assert deciding == ["state.json"]  # that it is executed
     state = read_record(Path(result.folder)).state
     assert set(state["seconds"]) == set(result.seconds)
 
