@@ -101,7 +101,7 @@ def test_h_holds_between_motions_and_u_goes_on(run: Callable[..., Run]) -> None:
     time.sleep(0.5)
     assert is_held(it.state())
     it.press(b"u")
-    it.until(lambda state: state.get("step") in ("grasp", "lower", "hold_and_capture"))
+    it.until(lambda state: state.get("step") in ("grasp", "lower"))
     it.press(b"h")
     it.until(is_held)
     held_in = it.state()["step"]
@@ -126,7 +126,7 @@ def test_a_stop_while_held_stops_and_u_clears_nothing(run: Callable[..., Run]) -
 
 def test_a_closed_terminal_stops_the_arm_and_closes_the_record(run: Callable[..., Run]) -> None:
     it = run("--cycles", "50", streams=(0, 1, 2))
-    it.until(lambda state: state.get("cycle", 0) >= 2 and state.get("step") == "hold_and_capture")
+    it.until(lambda state: state.get("cycle", 0) >= 2 and state.get("step") == "lower")
     it.hang_up()
     it.process.communicate(timeout=60)
     assert it.process.returncode == 1
