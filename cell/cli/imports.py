@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -79,8 +80,8 @@ class ImportOptions:
         float | None,
         typer.Option(
             "--clamp-angle",
-            min=-3.2,
-            max=3.2,
+            min=-math.pi,
+            max=math.pi,
             help="Constant angle of the gripper, if no column has it, rad; 0 = level, positive = "
             "tip down.",
         ),

@@ -41,16 +41,12 @@ class InputError(ValueError):
         return cls([Problem(path, line, column, key, message)])
 
 
-#: Least similarity of a misspelled name, by `difflib`; 'nothing' and 'robot_ringing' have 0.6.
-_ALIKE = 0.65
-
-
 def did_you_mean(name: str, known: Sequence[str]) -> str:
     """'; did you mean …?', comparing names with and without their unit; else all that are known."""
     bare = {_UNITS.sub("", k): k for k in known}
-    close = difflib.get_close_matches(name, known, 1, _ALIKE)
+    close = difflib.get_close_matches(name, known, 1, 0.6)
     if not close:
-        close = [bare[b] for b in difflib.get_close_matches(_UNITS.sub("", name), bare, 1, _ALIKE)]
+        close = [bare[b] for b in difflib.get_close_matches(_UNITS.sub("", name), bare, 1, 0.6)]
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; use one of those known here: {', '.join(known)}"

@@ -75,7 +75,7 @@ class StepRunner:
     def _do(self, progress: CycleProgress, step: Step) -> None:
         """Do a step, its further work, and its record."""
         progress.step = step.name
-        # a rename waits for the disk's journal, for a second while a recording is finished
+        # to replace a file waits for the disk: seconds, while another process writes much
         written = progress.record.note if step.time_critical else progress.record.state
         written(step=step.name, state=self._machine.state.value)
         progress.recording.state(self._machine.state.value, step.name)

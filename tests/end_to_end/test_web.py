@@ -73,7 +73,7 @@ def browser(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
         yield browser.driver
 
 
-#: The link of the history's second row; the page replaces its rows once more after it has opened.
+#: The link of the history's second row, which the page may replace while it loads.
 SECOND_ROW = "[data-test=cycles] tbody tr:nth-child(2) a"
 
 #: Is an element where it was two pictures ago, and nothing that holds it animated?

@@ -63,7 +63,7 @@ _SHEET_DATETIME = re.compile(
 )
 
 
-@lru_cache(maxsize=2**16)
+@lru_cache(maxsize=2**16)  # each pass over a table's cells asks again
 def number(cell: str, decimal: Decimal, grouped: bool = False) -> float | None:
     """The number in a cell; nan if the value is missing, None if the cell holds anything else.
 

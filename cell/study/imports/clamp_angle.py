@@ -151,7 +151,8 @@ def stated_angle(
         message += "leave it out and check the `axes` of the proposal"
         raise InputError.at(path, message)
     findings[:] = [f for f in findings if f.entry != "hand.angle"]
-    findings.stated("hand.angle", f"the clamp angle is {np.degrees(stated_rad):.2f}°, constant")
+    angle = f"{np.degrees(stated_rad):.2f}°"
+    findings.stated("hand.angle", f"the clamp angle is {angle}, constant, as --clamp-angle says")
     return hand.model_copy(update={"angle": AngleSection(constant_rad=stated_rad)})
 
 

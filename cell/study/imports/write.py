@@ -40,7 +40,7 @@ from cell.study.wrench import COLUMNS
 
 _WIDTH = 98
 #: Label of each degree of certainty, before the sentence of a finding.
-_MARK = {Sure.STATED: "stated", Sure.SHOWN: "seen", Sure.GUESSED: "GUESS", Sure.MISSING: "GIVE"}
+_MARK = {Sure.STATED: "stated", Sure.SHOWN: "shown", Sure.GUESSED: "GUESS", Sure.MISSING: "GIVE"}
 
 
 def mapping_text(mapping: Mapping, findings: Sequence[Finding], command: str) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from cell.files.input_error import InputError, did_you_mean
+from cell.files.input_error import InputError
 from cell.files.yaml_document import MAX_BYTES, MAX_PROBLEMS, read_yaml, validate, yaml_text
 
 
@@ -146,10 +146,3 @@ def test_a_file_of_another_kind_is_one_mistake(
         validate(read_yaml(file), model)
     (problem,) = caught.value.problems
     assert says in str(problem)
-
-
-def test_a_name_is_proposed_only_if_it_is_alike() -> None:
-    known = ["robot_ringing", "air_drag", "arc_length_m"]
-    assert did_you_mean("airdrag", known) == "; did you mean 'air_drag'?"
-    assert did_you_mean("arc_length", known) == "; did you mean 'arc_length_m'?"
-    assert did_you_mean("nothing", known) == f"; use one of those known here: {', '.join(known)}"

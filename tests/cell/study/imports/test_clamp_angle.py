@@ -292,7 +292,8 @@ def test_a_stated_angle_takes_the_place_of_the_estimate() -> None:
     m = trial(np.full(len(T_S), 0.02))
     found = understood(captured("a.csv", **hand_of(m), **markers_of(m)), angle_rad=0.0)
     assert found.mapping.hand.angle.constant_rad == 0.0
-    assert said(found, "hand.angle") == ["the clamp angle is 0.00°, constant"]
+    (sentence,) = said(found, "hand.angle")
+    assert sentence == "the clamp angle is 0.00°, constant, as --clamp-angle says"
 
 
 def test_an_angle_that_the_cable_or_a_column_contradicts_is_refused() -> None:
