@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -72,6 +73,8 @@ class Record:
         at = started.astimezone(UTC).isoformat()
         self._state: dict[str, Any] = {"format": FORMAT, "cycle": cycle, "closed": False}
         self._state["started"] = at
+        self._writer = ThreadPoolExecutor(1, "state.json")
+        self._written: Future[None] | None = None
 
     def check_room(self) -> None:
         """Raise RecordError if the disk has no room for the record of a cycle."""
@@ -84,14 +87,17 @@ class Record:
 
     def state(self, **entries: Any) -> None:
         """Replace entries of `state.json`."""
-        self._state.update(entries)
-        self._write("state.json", _json(self._state))
+        self._write_state(entries).result()
 
-    def note(self, **entries: Any) -> None:
-        """Replace entries of `state.json` at the next write: a waiting gripper must not wait for a
-        disk.
+    def state_soon(self, **entries: Any) -> None:
+        """Replace entries of `state.json` in a thread: a waiting gripper waits for no disk.
+
+        raises  RecordError: the state before could not be written
         """
-        self._state.update(entries)
+        before = self._written
+        self._written = self._write_state(entries)
+        if before is not None and before.done():
+            before.result()
 
     def settings(self, settings: Mapping[str, Any]) -> None:
         """Settings as resolved."""
@@ -119,11 +125,16 @@ class Record:
         self.use_reserve()
         self._write("result.json", _json(result.to_json()))
         self.state(closed=True, outcome=result.outcome.value)
+        self._writer.shutdown()
 
     def use_reserve(self) -> None:
         """Free the room that was reserved: the cycle is about to end."""
         with self._write_errors():
             self._reserve.unlink(missing_ok=True)
+
+    def _write_state(self, entries: Mapping[str, Any]) -> Future[None]:
+        self._state.update(entries)
+        return self._writer.submit(self._write, "state.json", _json(self._state))
 
     def _write(self, name: str, content: str | bytes) -> None:
         with self._write_errors():
@@ -150,6 +161,12 @@ class LaterRecord(Record):
         self._cycle = cycle
         self._state: dict[str, Any] = {}
 
+    def state(self, **entries: Any) -> None:
+        """Keep entries of the state for the folder."""
+        self._state.update(entries)
+
+    state_soon = state
+
     def opened(self, started: datetime) -> Record:
         """The record with its folder.  Raises RecordError."""
         record = Record(self.folder, self._cycle, started)
@@ -157,11 +174,14 @@ class LaterRecord(Record):
             record.state(**self._state)
         return record
 
+    def close(self, result: Result) -> None:
+        """Do nothing: there is no folder."""
+
     def use_reserve(self) -> None:
         """Do nothing: there is no reserve."""
 
     def _write(self, name: str, content: str | bytes) -> None:
-        """Do nothing: there is no folder yet."""
+        """Do nothing: there is no folder."""
 
 
 @lru_cache(maxsize=8)

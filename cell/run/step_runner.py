@@ -75,10 +75,9 @@ class StepRunner:
     def _do(self, progress: CycleProgress, step: Step) -> None:
         """Do a step, its further work, and its record."""
         progress.step = step.name
-        # to replace a file waits for the disk: seconds, while another process writes much
-        written = progress.record.note if step.time_critical else progress.record.state
-        written(step=step.name, state=self._machine.state.value)
-        progress.recording.state(self._machine.state.value, step.name)
+        state = self._machine.state.value
+        progress.record.state_soon(step=step.name, state=state, seconds=progress.seconds)
+        progress.recording.state(state, step.name)
         if not step.time_critical:
             progress.recording.record_findings(progress.findings, progress.station)
         self._on_step(progress.number, step.name)
@@ -96,12 +95,11 @@ class StepRunner:
             passed_s = now_s() - begun_s
             progress.seconds[step.name] = progress.seconds.get(step.name, 0.0) + passed_s
             _LOG.info("cycle %d: step %s took %.3f s", progress.number, step.name, passed_s)
-            progress.record.note(seconds=progress.seconds)
         progress.findings = findings
         if step.once and step.completed(progress.station, findings):
             self._done_once.add(_once(progress, step))
         if findings.rejected or not step.time_critical:
-            progress.record.state()
+            progress.record.state_soon()
             progress.write()
         progress.findings = step.after(progress.station, findings)
         if progress.findings is not findings:

@@ -83,25 +83,26 @@ def test_after_the_last_frame_nothing_is_simulated(
     assert all(name.startswith("ahead") for name in deciding)
 
 
-def test_a_hand_that_waits_waits_for_one_write(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_waiting_gripper_waits_for_no_write(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk takes milliseconds for each, and seconds where another program keeps it busy."""
     written: list[str] = []
 
     def counted(path: Path, content: str | bytes) -> None:
-        written.append(path.name)
+        if threading.current_thread() is threading.main_thread():
+            written.append(path.name)
         write_atomic(path, content)
 
     write_atomic = folder.write_atomic
     monkeypatch.setattr(folder, "write_atomic", counted)
-    deciding: list[str] = []
+    deciding: list[int] = []
     it = live(
         {
-            "hold_and_capture": lambda it: written.clear(),
-            "execute": lambda it: deciding.extend(written),
+            "lower": lambda it: written.clear(),
+            "execute": lambda it: deciding.append(len(written)),
         }
     )
     result = it.cell.run_cycle(1)
-    assert deciding == ["state.json"]  # that it is executed
+    assert deciding == [0] < [len(written)]
     state = read_record(Path(result.folder)).state
     assert set(state["seconds"]) == set(result.seconds)
 

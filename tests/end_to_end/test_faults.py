@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
@@ -215,10 +214,14 @@ def test_a_full_disk_ends_the_cycle_with_a_closed_record_that_says_where_the_cab
     assert it.cell.machine.state is CellState.ABORTED
 
 
-def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(live: Live) -> None:
+def test_a_record_that_can_no_longer_be_written_stops_the_arm_too(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: str | bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
     def disk_gone(it: SimpleNamespace) -> None:
-        (folder,) = it.runs.iterdir()
-        (folder / f"state.json.{os.getpid()}.part").mkdir()  # no write of the state succeeds
+        monkeypatch.setattr("cell.records.folder.write_atomic", full)
 
     it = live({"lower": disk_gone})
     result = it.cell.run_cycle(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from datetime import datetime
 from pathlib import Path
 
@@ -57,6 +58,30 @@ def test_every_stage_of_a_cycle_is_readable(tmp_path: Path) -> None:
     read = read_record(record.folder)
     assert read.closed
     assert read.result == result
+
+
+def test_a_state_is_written_in_order_by_a_thread_and_its_error_is_raised_at_the_next(
+    tmp_path: Path,
+) -> None:
+    record = Record(tmp_path, 2, NOW)
+    for step in ("grasp", "lower", "hold_and_capture"):
+        record.state_soon(step=step)
+    record.state(state="execute")
+    assert read_record(record.folder).step == "hold_and_capture"
+
+    (record.folder / "state.json").unlink()
+    (record.folder / "state.json").mkdir()
+    deadline_s = time.monotonic() + 30
+    with pytest.raises(RecordError, match="cannot be written"):
+        while time.monotonic() < deadline_s:
+            record.state_soon(step="release")
+            time.sleep(0.001)
+    with pytest.raises(RecordError):
+        record.state(step="release")
+
+    (record.folder / "state.json").rmdir()
+    record.close(Result(2, Outcome.INSERTED, str(record.folder)))
+    assert read_record(record.folder).closed
 
 
 def test_a_result_goes_through_json_with_its_fault_and_without_nan() -> None:
