@@ -10,6 +10,9 @@ from cell.cable.arrays import FloatArray
 from cell.identify.gaussian import covariance_root
 from cell.lab.fit.fitting import Fit
 
+#: Share of a change below which its projection is rounding error.
+LEAST_SHARE = 1e-6
+
 
 @dataclass(frozen=True)
 class Projection:
@@ -77,6 +80,11 @@ def prior_root(fit: Fit) -> FloatArray:
     if any(len(b) > 1 for b in fit.initial_states.values()):
         precision[p:, p:] = np.diag(1.0 / fit.initial_state_std**2)
     return np.asarray(covariance_root(precision).T)
+
+
+def is_distinct(orthogonal: FloatArray, change: FloatArray) -> bool:
+    """Whether more than rounding error of a change (…, values) is orthogonal to others."""
+    return bool(np.linalg.norm(orthogonal) > LEAST_SHARE * np.linalg.norm(change))
 
 
 def orthonormal(columns: FloatArray, least: float, *, of_largest: bool = False) -> FloatArray:

@@ -19,14 +19,11 @@ from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.projection import prior_root
+from cell.lab.fit.projection import is_distinct, prior_root
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.fit.systematic_error import MOTIONS
 from cell.lab.verdict.check_statistics import directions_of_trials
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual
-
-#: A change with less than this share orthogonal to the parameters cannot be distinguished.
-LEAST_SHARE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +138,8 @@ class LinearStudy:
             size = np.linalg.norm(amplitudes, axis=1)
             usable = amplitudes[size > 0.0] / size[size > 0.0, None]
             orthogonal = self.project_out_all(usable)
-            distinct = np.linalg.norm(orthogonal, axis=1) > LEAST_SHARE
-            if not distinct.any():
+            distinct = [is_distinct(*of) for of in zip(orthogonal, usable, strict=True)]
+            if not any(distinct):
                 continue
             amplitude = np.linalg.lstsq(orthogonal[distinct].T, target, rcond=1e-8)[0]
             imitated = amplitude @ orthogonal[distinct]
@@ -216,10 +213,10 @@ def own_sensitivities(
     rows, unfitted = np.vstack([hidden, other_rows]), np.vstack([alone, other_rows])
     size = np.linalg.norm(rows, axis=1)
     rows, unfitted = (r[size > 0.0] / size[size > 0.0, None] for r in (rows, unfitted))
-    orthogonal = np.linalg.norm(linear.project_out_all(rows), axis=1)
-    if not size[0] > 0.0 or orthogonal[0] < LEAST_SHARE:
+    distinct = [is_distinct(*of) for of in zip(linear.project_out_all(rows), rows, strict=True)]
+    if not size[0] > 0.0 or not distinct[0]:
         return None
-    rows, unfitted = rows[orthogonal > LEAST_SHARE], unfitted[orthogonal > LEAST_SHARE]
+    rows, unfitted = rows[distinct], unfitted[distinct]
     return Sensitivities(effect, rows, alone=unfitted, shapes=_not_imitated(linear, rows, shapes))
 
 
@@ -230,7 +227,7 @@ def _not_imitated(linear: LinearStudy, rows: FloatArray, shapes: FloatArray) -> 
         unit = shape / np.linalg.norm(shape)
         rest = linear.project_out_all(unit[None])[0]
         rest = rest - np.linalg.lstsq(np.array(basis).T, rest, rcond=None)[0] @ np.array(basis)
-        if np.linalg.norm(rest) > LEAST_SHARE:
+        if is_distinct(rest, unit):
             units.append(unit)
             basis.append(rest)
     return np.array(units).reshape(-1, rows.shape[1])

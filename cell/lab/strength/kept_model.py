@@ -21,15 +21,13 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit, fit_trials
-from cell.lab.fit.projection import orthonormal
+from cell.lab.fit.projection import is_distinct, orthonormal
 from cell.lab.fit.sensitivity import one_sided
 
 #: Most effects added, one after another, until the residual is noise.
 MOST = 4
 #: Number of parts of a trial that count as independent clusters of model error.
 PARTS = 4
-#: An effect with less than this share orthogonal to the parameters cannot be distinguished.
-LEAST_SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ def _candidates(joint: AllTrialsFit, effects: Sequence[type[Effect]]) -> list[_C
     for slopes in joint.sensitivities(effects):
         for rows in slopes.rows:
             orthogonal = joint.linear.remove(rows)
-            if np.linalg.norm(orthogonal) > LEAST_SHARE * np.linalg.norm(rows):
+            if is_distinct(orthogonal, rows):
                 candidates.append(_CandidateEffect(slopes.effect, rows, orthogonal))
     return candidates
 

@@ -20,7 +20,7 @@ from cell.lab.data.results import Limit
 from cell.lab.data.work import Progress, no_progress, side_by_side
 from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.projection import Projection, nuisance_of, orthonormal
+from cell.lab.fit.projection import Projection, is_distinct, nuisance_of, orthonormal
 from cell.lab.fit.sensitivity import Sensitivity, changes, one_sided
 from cell.lab.fit.systematic_error import SystematicError
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
@@ -30,8 +30,6 @@ CONFIDENCE = 0.95
 #: Number of simulations of a limit, each moving it to where the effect is excluded; fewer if it
 #: moves by less than this share.
 ROUNDS, NEARLY = 3, 0.01
-#: Below this share of its norm, a projected sensitivity cannot be distinguished from zero.
-LEAST_SHARE = 1e-6
 #: A limit within this many standard deviations of zero is linear: the slope at zero is exact.
 NEAR = 0.3
 #: A shape of an effect is excluded if it explains less than the best shape by this χ², and by this
@@ -107,7 +105,7 @@ class LimitSearch:
             rest = np.delete(rows, j, axis=0)
             basis = orthonormal(self._nuisance.remove(rest).T, 1e-8, of_largest=True)
             orthogonal = self._not_imitated(rows[j], basis)
-            if not float(np.linalg.norm(orthogonal)) > LEAST_SHARE * float(np.linalg.norm(rows[j])):
+            if not is_distinct(orthogonal, rows[j]):
                 continue
             size, std = self._estimate(orthogonal)
             square = float(orthogonal @ orthogonal) / self._inflation
@@ -185,7 +183,7 @@ class LimitSearch:
             return
         row = self._with_prior(change) / side.size
         orthogonal = self._not_imitated(row, side.others)
-        if not float(np.linalg.norm(orthogonal)) > LEAST_SHARE * float(np.linalg.norm(row)):
+        if not is_distinct(orthogonal, row):
             side.in_bounds = False
             return
         before = side.size
