@@ -1,4 +1,4 @@
-"""Files of arrays: spreadsheets (.xlsx), MATLAB's .mat, Parquet, NumPy's .npy and .npz, HDF5."""
+"""Files of arrays: sheets, MATLAB's .mat, Parquet, NumPy's .npy and .npz, HDF5, netCDF 4."""
 
 from __future__ import annotations
 
@@ -33,7 +33,13 @@ from cell.study.imports.groups import (
 )
 from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
-from cell.study.imports.sheets import cell_text, read_sheet, trials_in_sheets
+from cell.study.imports.sheets import (
+    WITH_SHEETS,
+    cell_text,
+    has_sheets,
+    read_sheet,
+    trials_in_sheets,
+)
 from cell.study.imports.stated import OF_CABLE
 from cell.study.imports.streams import streams_tree
 from cell.study.imports.units import METRES, split_unit, unit_of
@@ -59,7 +65,7 @@ def read_container(path: Path) -> Capture:
     raises  InputError: it cannot be read, holds no table, or a library is missing
     """
     file, part = split_part(path)
-    if file.suffix.lower() == ".xlsx":
+    if has_sheets(file):
         return _read_checked(file, lambda f: read_sheet(f, part))
     tree, units = _read_checked(file, _tree)
     if part:
@@ -80,7 +86,7 @@ def parts_of(path: Path) -> list[FilePart]:
     raises  InputError: it cannot be read, or its groups are ambiguous
     """
     file, part = split_part(path)
-    if file.suffix.lower() == ".xlsx" and not part:
+    if has_sheets(file) and not part:
         return _read_checked(file, trials_in_sheets)
     if part or not (file.suffix.lower() in _TREES or is_line_protocol(file)):
         return []
@@ -410,8 +416,8 @@ def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
 
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
     ".mat": _mat, ".parquet": _parquet, ".npy": _npy, ".npz": _npz, ".h5": _hdf5_tree,
-    ".hdf5": _hdf5_tree, ".feather": _feather, ".arrow": _feather, ".json": streams_tree,
-    ".jsonl": streams_tree, ".ndjson": streams_tree,
+    ".hdf5": _hdf5_tree, ".nc": _hdf5_tree, ".feather": _feather, ".arrow": _feather,
+    ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
 }  # fmt: skip
 #: Endings of names of files of arrays.
-CONTAINERS = (".xlsx", *_TREES)
+CONTAINERS = (*WITH_SHEETS, *_TREES)

@@ -23,7 +23,7 @@ HAND = frozenset(
     ("hand", "grip", "gripper", "gripping", "clamp", "tcp", "tool", "robot", "flange", "ee",
      "effector", "base", "root", "mount", "greifer", "holder", "wrist", "shaker", "cart", "fixture",
      "chuck", "jaw", "jaws", "hub", "motor", "eef", "klemm", "klemme", "grp", "backe", "backen",
-     "pince", "mors", "pinza", "garra", "rob", "robi", "mordaza", "einspannung")
+     "pince", "mors", "pinza", "roboter", "garra", "rob", "robi", "mordaza", "einspannung")
 )  # fmt: skip
 
 

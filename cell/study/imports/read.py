@@ -26,6 +26,7 @@ from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
 from cell.study.imports.robot_poses import with_quaternions
+from cell.study.imports.sheets import WITH_SHEETS, has_sheets
 from cell.study.imports.text_content import is_text, text_of
 from cell.study.imports.units import METRES, unit_of
 from drivers.installing import install_extra
@@ -211,7 +212,7 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     ending = file.suffix.lower()
     if part or (ending not in _READERS and is_line_protocol(file)):
         capture = read_container(path)
-    elif ending in _READERS:
+    elif ending in _READERS and not (ending in WITH_SHEETS and not has_sheets(file)):
         capture = _READERS[ending](path)
     elif is_xml(path):
         capture = read_records(path)

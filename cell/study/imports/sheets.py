@@ -1,23 +1,35 @@
-"""Spreadsheets (.xlsx): the sheet with the cable's points, or sheets that are trials."""
+"""Sheets of workbooks, tables of databases: the cable's points, its gripper, or trials."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, is_number, number
-from cell.study.imports.contents import contents
+from cell.study.imports.contents import Contents, contents
 from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import pivoted
+from cell.study.imports.text_content import is_text
 from cell.study.imports.text_rows import Row, without_summary
 from cell.study.imports.units import METRES, split_unit
 
 #: Maximum number of rows above a sheet's table.
 _MAX_HEADER = 200
+#: Endings of names of databases, and of all files with sheets.
+_DATABASES = (".db", ".sqlite", ".sqlite3")
+WITH_SHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods", *_DATABASES)
+
+
+def has_sheets(path: Path) -> bool:
+    """Whether a file is a workbook or a database by its name; a text may be called .xls, too."""
+    ending = path.suffix.lower()
+    return ending in WITH_SHEETS and not (ending == ".xls" and is_text(path))
 
 
 def read_sheet(path: Path, title: str) -> Capture:
@@ -28,42 +40,56 @@ def read_sheet(path: Path, title: str) -> Capture:
     tables = _sheets(path)
     if title and title not in tables:
         raise InputError.at(path, f"has no sheet {title!r} with a table; correct its name")
-    best = title or max(tables, key=lambda name: len(contents(tables[name]).points))
+    best = title or _with_most_points(tables)
     skipped = ", ".join(repr(name) for name in tables if name != best)
     note = f"{path}: sheet {best!r} is read, not {skipped}"
-    if title:
-        note = f"{path}: sheet {title!r} is read as a trial of its own, as are those like it"
-    notes = (*tables[best].notes, note) if skipped else tables[best].notes
+    notes = (*tables[best].notes, note) if skipped and not title else tables[best].notes
     return replace(tables[best], path=with_part(path, title), notes=notes)
+
+
+def _with_most_points(tables: Mapping[str, Capture]) -> str:
+    return max(tables, key=lambda title: len(contents(tables[title]).points))
 
 
 def _sheets(path: Path) -> dict[str, Capture]:
     """Every sheet that holds a table, by its title.  Raises InputError: none does."""
-    from openpyxl import load_workbook
-
-    book = load_workbook(path, read_only=True, data_only=True)
     tables: dict[str, Capture] = {}
     problems: list[InputError] = []
     of_cable: tuple[tuple[str, float], ...] = ()
-    try:
-        for page in book.worksheets:
-            lines = enumerate(page.iter_rows(values_only=True), 1)
-            rows = [Row(line, tuple(cell_text(cell) for cell in cells)) for line, cells in lines]
-            of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
-            try:
-                capture = _table_of(path, [row for row in rows if not row.blank])
-            except InputError as error:
-                problems.append(error)
-                continue
-            tables |= {} if capture is None else {page.title: capture}
-    finally:
-        book.close()
+    pages = _tables_of_database if path.suffix.lower() in _DATABASES else _pages_of_workbook
+    for title, page in pages(path):
+        rows = [Row(i, tuple(map(cell_text, cells))) for i, cells in enumerate(page, 1)]
+        of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
+        try:
+            capture = _table_of(path, [row for row in rows if not row.blank])
+        except InputError as error:
+            problems.append(error)
+            continue
+        tables |= {} if capture is None else {title: capture}
     if problems and not tables:
         raise problems[0]
     if not tables:
         message = "no sheet holds rows of numbers; give a line of names above them"
         raise InputError.at(path, message)
     return {title: replace(table, of_cable=of_cable) for title, table in tables.items()}
+
+
+def _pages_of_workbook(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
+    """Title and rows of each sheet of a workbook."""
+    from python_calamine import CalamineWorkbook
+
+    with CalamineWorkbook.from_path(path) as book:
+        for title in book.sheet_names:
+            yield title, book.get_sheet_by_name(title).to_python(skip_empty_area=False)
+
+
+def _tables_of_database(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
+    """Name of each table of an SQLite database, and its rows below the names of its columns."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        names = database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
+        for (name,) in names.fetchall():
+            rows = database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""')))
+            yield name, [[c[0] for c in rows.description], *rows.fetchall()]
 
 
 def _stated_length(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
@@ -78,10 +104,23 @@ def _stated_length(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
 
 
 def trials_in_sheets(path: Path) -> list[FilePart]:
-    """Sheets with points, if all have the same columns and there are several; else empty."""
-    tables = {title: t for title, t in _sheets(path).items() if contents(t).points}
-    equal_columns = len({t.names for t in tables.values()}) == 1 and len(tables) > 1
-    return [FilePart(title, title) for title in tables] if equal_columns else []
+    """Sheets with points, if all have the same columns and there are several; or one with the
+    cable's points, and one with its gripper alone; else empty.
+    """
+    sheets = _sheets(path)
+    tables = {title: t for title, t in sheets.items() if contents(t).points}
+    if len({t.names for t in tables.values()}) == 1 and len(tables) > 1:
+        return [FilePart(title, title) for title in tables]
+    cable, inside = _with_most_points(sheets), {title: contents(t) for title, t in sheets.items()}
+    hands = [title for title, each in inside.items() if title != cable and _is_of_gripper(each)]
+    known = _is_of_gripper(inside[cable]) or any(p.on_gripper for p in inside[cable].points)
+    return [FilePart("", cable, hands[0])] if len(hands) == 1 and not known else []
+
+
+def _is_of_gripper(inside: Contents) -> bool:
+    """Whether a table shows nothing else than a gripper can: one point, or its sensor."""
+    timed = inside.time is not None
+    return timed and (len(inside.points) == 1 or (not inside.points and inside.has_gripper_sensor))
 
 
 def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
@@ -106,7 +145,8 @@ def _begins_table(row: Row) -> bool:
 
 
 def cell_text(cell: object) -> str:
-    """A cell as text for `number`."""
+    """A cell as text for `number`; a whole number without decimals, as labels are."""
     if cell is None:
         return ""
-    return str(int(cell)) if isinstance(cell, bool) else str(cell).strip()
+    whole = isinstance(cell, bool) or (isinstance(cell, float) and cell.is_integer())
+    return str(int(cell)) if whole else str(cell).strip()  # type: ignore[call-overload]

@@ -181,7 +181,9 @@ def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "remedy"),
     [
-        ("trial.ods", b"PK\x03\x04\x14\0", "give .csv"),
+        ("trial.numbers", b"PK\x03\x04\x14\0", "give .csv"),
+        ("trial.ods", b"PK\x03\x04\x14\0", "save it again"),
+        ("trial.db", b"SQLite format 3\0", "save it again"),
         ("trial.xlsx", b"PK", "save it again"),
         ("trial.c3d", b"\x02\x50" + b"\0" * 600, "export it again"),
         ("trial.mcap", b"\x89MCAP0\r\nxx", "record it again"),

@@ -207,7 +207,12 @@ def test_the_meaning_of_names_that_programs_give(
 
 @pytest.mark.parametrize(
     ("ending", "library"),
-    [(".xlsx", "openpyxl"), (".parquet", "pyarrow.parquet"), (".h5", "h5py"), (".c3d", "ezc3d")],
+    [
+        (".xlsx", "python_calamine"),
+        (".parquet", "pyarrow.parquet"),
+        (".h5", "h5py"),
+        (".c3d", "ezc3d"),
+    ],
 )
 def test_a_library_that_is_missing_is_named_with_its_extra(
     ending: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
