@@ -31,6 +31,9 @@ LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
 _UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
 #: Final share of the record, in which the gripper rests and the cable still swings.
 _FINAL_SHARE = 0.3
+#: A chain's end swings if its motion with the tip exceeds this share of the tip's and this multiple
+#: of its standard error, in more than so many rows.
+_SWINGS, _SIGNIFICANT, _FEWEST_LATE = 0.01, 5.0, 20
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,24 @@ def choose(
         order = from_end(cable, raw)
         behind = _count_behind(order, raw, free_length_m)
         second = order[behind - 1] if behind else None
-        hand, *order = order[behind:]
-        sentence = f"no point is named after a gripper: {hand.name!r}, the end of the chain that "
-        if second is None:
-            findings.guessed("hand", f"{sentence}rests first, is the gripping point")
+        end, *order = order[behind:]
+        sentence = f"no point is named after a gripper: {end.name!r}"
+        swings = 0.0 if second else _swing_share(raw[end.name], raw[order[-1].name])
+        if swings:
+            sentence += f", the end of the chain that moves least, swings by {swings:.1%} of the "
+            sentence += "tip's motion at the end of the record: it is a point of the cable. Name "
+            sentence += "the gripping point's columns gripper_x and gripper_y, or give its file "
+            sentence += "with --hand; if it is this point, name its columns in hand.columns"
+            findings.missing("hand", sentence)
+            order = [end, *order]
+        elif second is None:
+            sentence += ", the end of the chain that rests first, is the gripping point"
+            findings.guessed("hand", sentence)
         else:
-            sentence = f"no point is named after a gripper: {hand.name!r} is the gripping point, "
-            sentence += f"for {second.name!r} moves with it as one body, and from it to the tip "
-            findings.guessed("hand", f"{sentence}the markers span the free length")
+            sentence += f" is the gripping point, for {second.name!r} moves with it as one body, "
+            sentence += "and from it to the tip the markers span the free length"
+            findings.guessed("hand", sentence)
+        hand = None if swings else end
     elif hand is None:
         order = from_end(cable, raw)
         if behind := _count_on_gripper(order, raw, free_length_m):
@@ -287,6 +300,25 @@ def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
     late = slice(int((1.0 - _FINAL_SHARE) * len(raw[cable[0].name])), None)
     first, last = (reach_of(raw[cable[i].name][late]) for i in (order[0], order[-1]))
     return [cable[i] for i in (order if not first > last else order[::-1])]
+
+
+def _swing_share(end: FloatArray, tip: FloatArray) -> float:
+    """Motion of a chain's end (rows, d) with the tip's in the last rows, as a share of that; 0 =
+    it rests, or no more than noise moves it.
+
+    A gripping point rests while the cable still swings; a point of the cable swings with it.
+    """
+    late = slice(int((1.0 - _FINAL_SHARE) * len(end)), None)
+    both = np.isfinite(end + tip)[late].all(axis=1)
+    own, of_tip = (p[late][both] - p[late][both].mean(axis=0) for p in (end, tip))
+    if len(own) <= _FEWEST_LATE:
+        return 0.0
+    by_tip, *_ = np.linalg.lstsq(of_tip, own, rcond=1e-6)
+    moved = of_tip @ by_tip
+    residual = float(np.mean((own - moved) ** 2))
+    share = float(np.linalg.norm(moved)) / max(float(np.linalg.norm(of_tip)), 1e-300)
+    significant = float(np.mean(moved**2)) * len(own) > _SIGNIFICANT**2 * residual
+    return share if significant and share > _SWINGS else 0.0
 
 
 #: Distances within a rigid body change by less than this share of the complete length.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -68,6 +71,84 @@ def test_the_sheet_with_points_is_read(tmp_path: Path) -> None:
     said = run(*arguments, "-o", tmp_path / "told", *CABLE)
     assert "sheet 'Position' is read, not 'Orientation'" in said
     check_places(imported(arguments, tmp_path / "study"), m)
+
+
+def _ods(file: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> None:
+    """A spreadsheet of OpenDocument, as LibreOffice writes it."""
+
+    def cell(value: object) -> str:
+        if isinstance(value, str):
+            return f'<table:table-cell office:value-type="string"><text:p>{value}</text:p>'
+        return f'<table:table-cell office:value-type="float" office:value="{value}">'
+
+    names = {n: f"urn:oasis:names:tc:opendocument:xmlns:{n}:1.0" for n in ("office", "table")}
+    names["text"] = "urn:oasis:names:tc:opendocument:xmlns:text:1.0"
+    spaces = " ".join(f'xmlns:{n}="{u}"' for n, u in names.items())
+    tables = "".join(
+        f'<table:table table:name="{title}">'
+        + "".join(
+            f"<table:table-row>{''.join(f'{cell(c)}</table:table-cell>' for c in row)}"
+            "</table:table-row>"
+            for row in rows
+        )
+        + "</table:table>"
+        for title, rows in sheets.items()
+    )
+    content = f"<office:body><office:spreadsheet>{tables}</office:spreadsheet></office:body>"
+    with ZipFile(file, "w") as book:
+        book.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        book.writestr(
+            "content.xml", f"<office:document-content {spaces}>{content}</office:document-content>"
+        )
+
+
+def _xlsx(file: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> None:
+    book = Workbook()
+    for title, rows in sheets.items():
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(list(row))
+    book.save(file)
+
+
+def _database(file: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> None:
+    with closing(sqlite3.connect(file)) as database, database:
+        for title, (names, *rows) in sheets.items():
+            columns = ", ".join(f'"{name}"' for name in names)
+            database.execute(f'CREATE TABLE "{title}" ({columns})')
+            places = ", ".join("?" * len(names))
+            database.executemany(f'INSERT INTO "{title}" VALUES ({places})', rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"), [("a.xlsx", _xlsx), ("a.ods", _ods), ("a.sqlite", _database)]
+)
+def test_a_sheet_of_the_gripper_alone_is_its_file(
+    tmp_path: Path,
+    name: str,
+    write: Callable[[Path, Mapping[str, Sequence[Sequence[object]]]], None],
+) -> None:
+    m, file = made(), tmp_path / name
+    camera = np.column_stack([m.t_s, 1e3 * m.markers_m.reshape(len(m.t_s), -1)])
+    robot = np.column_stack([m.t_s, 1e3 * m.gripper_m, np.degrees(m.angle_rad)])
+    of_points = ["time [s]", *(f"{p} {a} [mm]" for p in NAMES for a in "xy")]
+    write(
+        file,
+        {
+            "Camera": [of_points, *camera.tolist()],
+            "Robot": [["time [s]", "x [mm]", "y [mm]", "angle [deg]"], *robot.tolist()],
+        },
+    )
+    check_same(imported([str(file)], tmp_path / "study"), m)
+
+
+def test_a_chain_whose_end_swings_with_the_tip_has_no_gripper(tmp_path: Path) -> None:
+    m = made()
+    values = np.column_stack([m.t_s, 1e3 * m.markers_m.reshape(len(m.t_s), -1)])
+    names = ["t_s", *(f"m{i}_{a}_mm" for i in range(len(NAMES)) for a in "xy")]
+    said = run(table(tmp_path, "film.csv", names, values), "-o", tmp_path / "s", *CABLE, code=1)
+    assert "swings by" in said and "gripper_x and gripper_y" in said
+    assert not (tmp_path / "s" / "study.yaml").exists()
 
 
 @pytest.mark.parametrize("ends", ["xyz", ("_1", "_2", "_3")])
