@@ -40,8 +40,8 @@ class ImportOptions:
         list[Path],
         typer.Argument(
             help="Files of one cable, each a trial: CSV, TSV or text tables, TRC, C3D, MCAP, "
-            ".xlsx, .mat, JSON, Parquet, Feather, NumPy, HDF5; a video; or the proposed mapping "
-            "(import.yaml)."
+            "Excel, .ods, SQLite, .mat, JSON, Parquet, Feather, NumPy, HDF5, netCDF; a video; or "
+            "the proposed mapping (import.yaml)."
         ),
     ]
     out: Annotated[

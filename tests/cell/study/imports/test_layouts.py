@@ -95,8 +95,10 @@ def _ods(file: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> None:
         for title, rows in sheets.items()
     )
     content = f"<office:body><office:spreadsheet>{tables}</office:spreadsheet></office:body>"
+    manifest = "urn:oasis:names:tc:opendocument:xmlns:manifest:1.0"
     with ZipFile(file, "w") as book:
         book.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        book.writestr("META-INF/manifest.xml", f'<m:manifest xmlns:m="{manifest}"/>')
         book.writestr(
             "content.xml", f"<office:document-content {spaces}>{content}</office:document-content>"
         )
