@@ -195,15 +195,17 @@ def out_of_plane(e: TrialEvidence) -> Failure | None:
 
 
 @noted(
-    "rms distance of markers from the plane, free lengths",
+    "rms motion of markers out of the plane, free lengths",
     f"{NOTED_ACROSS:g}",
-    "the cable is {rms_mm:.3g} mm rms out of the plane; the model moves within it",
+    "the cable moves {rms_mm:.3g} mm rms out of the plane; the model moves within it",
     "",
 )
 def wide(e: TrialEvidence) -> Failure | None:
     """Is the motion flat enough for a model in one plane?"""
-    away_m = _out_of_plane_m(e)
-    rms_m = 0.0 if away_m is None else float(np.sqrt(np.nanmean(away_m**2)))
+    if e.across_m is None or not (seen := np.isfinite(e.across_m).any(axis=0)).any():
+        return None
+    across_m = e.across_m[:, seen]  # a marker may lie beside the plane of the others
+    rms_m = float(np.sqrt(np.nanmean((across_m - np.nanmedian(across_m, axis=0)) ** 2)))
     return None if rms_m < NOTED_ACROSS * e.cable.length_m else Failure({"rms_mm": rms_m * 1e3})
 
 

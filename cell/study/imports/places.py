@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.gripper_section import AngleSection, AxesSection
-from cell.study.imports.shape import bend, lost_rows
+from cell.study.imports.shape import bend, lost_rows, middle
 
 #: A file axis is in the plane if its projection onto the plane is longer than this.
 _IN_PLANE = 0.9
@@ -23,6 +23,8 @@ _HANGING = 0.9
 #: Maximum angle to the file's axes of an aligned plane, rad: half a degree changes positions in the
 #: plane by 4 parts in 100,000.
 _ALIGNED = 0.0087
+#: Displacements show a plane if they reach this multiple of their extent out of it.
+_PLANAR = 10.0
 _LETTERS = "XYZ"
 
 
@@ -44,6 +46,8 @@ def find_axes(
     """
     dimensions = places.shape[2]
     normal, depth = _normal(places)
+    if normal is not None:
+        shape, *others = (s - np.outer(s @ normal, normal) for s in (shape, *others))
     up = _up(shape, others, normal)
     right, remark = _right(places, shape, normal, up.direction)
     findings = ImportFindings()
@@ -57,12 +61,19 @@ def find_axes(
 
 
 def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
-    """Unit normal of the points' plane, and their relative extent along it; None and 0 in 2D."""
+    """Unit normal of the motion's plane, and its relative extent along it; None and 0 in 2D.
+
+    Points may lie beside the plane, each at a depth of its own; a motion along a line does not show
+    the plane, then that of all places is returned.
+    """
     if places.shape[2] == 2:
         return None, 0.0
-    visible = places[np.isfinite(places).all(axis=2)]
-    centred = visible - np.median(visible, axis=0)
-    _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
+    visible = np.isfinite(places).all(axis=2)
+    for about in (middle(places), np.median(places[visible], axis=0)):
+        centred = (places - about)[visible]
+        _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
+        if sizes[1] > _PLANAR * sizes[2]:
+            break
     return directions[2], float(sizes[2] / sizes[0])
 
 

@@ -60,6 +60,8 @@ from cell.study.imports.trials import Files, trial_entries
 _DOWN = 0.5
 #: Maximum distance of a marker at the gripping point, as a fraction of the cable's length.
 _AT_GRIPPER = 0.005
+#: Minimum share in the plane of the line between two points that show the clamp angle.
+_ACROSS = 0.2
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
 
@@ -109,8 +111,9 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     axes, of_axes = find_axes(raw, shape, others)
     findings += [_of_image(finding, axes, raw), *of_axes]
     scene = scene_of(raw, axes, scale or 1.0, rest, chosen.gripper is not None)
+    known_rest = rest is not None and scene.from_gripper
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
-    chain_m = chain_from(raw, rest if scene.from_gripper else None) * (scale or 1.0)
+    chain_m = chain_from(scene.xy_m, scene.shape[0] if known_rest else None)
     stds = _arc_stds(chain_m, scene, stated, arcs, findings)
     nearest = None
     if gripper is not None and gripper.point is not None and scale is not None:
@@ -298,7 +301,8 @@ def _gripper(
     if chosen.second is not None:
         rest = shape_at_rest(detected_points(capture, (hand, chosen.second), chosen))
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
-        second = chosen.second, angle_of(line)
+        if np.linalg.norm(line) > _ACROSS * np.linalg.norm(rest[1] - rest[0]):
+            second = chosen.second, angle_of(line)
     root = replace(root_in_rows(scene), others=others)
     angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)

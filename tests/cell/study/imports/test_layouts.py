@@ -153,6 +153,23 @@ def test_a_chain_whose_end_swings_with_the_tip_has_no_gripper(tmp_path: Path) ->
     assert not (tmp_path / "s" / "study.yaml").exists()
 
 
+@pytest.mark.parametrize("turned_rad", [0.0, 0.3, 0.8])
+def test_markers_beside_the_plane_do_not_turn_it(tmp_path: Path, turned_rad: float) -> None:
+    """On both edges of a flat cable, with two marks on the jaw, one on each side of it."""
+    m = made()
+    depth_m = np.array([-12.0, 12.0, 8.0, -8.0, 8.0, -8.0, 8.0]) * 1e-3
+    at = np.zeros((len(m.t_s), len(depth_m), 3))
+    in_plane = np.concatenate([m.gripper_m[:, None], places(m)], axis=1)
+    at[..., 0] = np.cos(turned_rad) * in_plane[..., 0] - np.sin(turned_rad) * depth_m
+    at[..., 1] = np.sin(turned_rad) * in_plane[..., 0] + np.cos(turned_rad) * depth_m
+    at[..., 2] = in_plane[..., 1]
+    names = ["t_s", *(f"{n}_{a}_m" for n in ("jaw r", "jaw l", *NAMES) for a in "xyz")]
+    file = table(tmp_path, "film.csv", names, np.column_stack([m.t_s, at.reshape(len(at), -1)]))
+    said = run(file, "-o", tmp_path / "told", *CABLE)
+    assert "out of the plane" not in said and "is taken as constant" in said
+    check_places(imported([file], tmp_path / "study"), m, off_m=1e-5)
+
+
 @pytest.mark.parametrize("ends", ["xyz", ("_1", "_2", "_3")])
 def test_an_axis_at_the_end_of_a_name_is_one(tmp_path: Path, ends: Sequence[str]) -> None:
     m = made()
