@@ -76,7 +76,8 @@ def read_document(path: Path) -> StructuredDocument:
 
 
 def _document(content: Any) -> StructuredDocument:
-    return StructuredDocument(content, list(enumerate(_records(content, 0), 1)), "record")
+    records = max(record_lists(content).values(), key=len, default=[])
+    return StructuredDocument(content, list(enumerate(records, 1)), "record")
 
 
 def _parse_json(path: Path, text: str, line: int | None) -> Any:
@@ -94,10 +95,11 @@ def _parse_yaml(path: Path, text: str) -> Any:
 
     try:
         bare = _NAN.sub(".nan", _TAG.sub("", _OF_OPENCV.sub("", text, count=1)))
-        return _with_matrices(YAML(typ="safe").load(bare))
+        parts = [part for part in YAML(typ="safe").load_all(bare) if part is not None]
+        return _with_matrices(parts[0] if len(parts) == 1 else parts)
     except (YAMLError, ValueError, RecursionError) as error:
         line = getattr(getattr(error, "problem_mark", None), "line", 0) + 1
-        message = "is no YAML, neither a mapping nor of OpenCV; save it again"
+        message = "is no YAML; save it again"
         raise InputError.at(path, message, line=line) from error
 
 
@@ -138,16 +140,18 @@ def _element(element: ElementTree.Element) -> Any:
     return entries or (element.text or "").strip() or None
 
 
-def _records(content: Any, depth: int) -> list[Any]:
-    """The longest list of records, or of entries with the same keys; empty = there is none."""
+def record_lists(content: Any, name: str = "", depth: int = 0) -> dict[str, list[Any]]:
+    """Lists of records, or of entries with the same keys, by the keys on the way to them."""
     if isinstance(content, list):
-        return content if all(isinstance(c, dict) for c in content) else []
+        return {name: content} if all(isinstance(c, dict) for c in content) else {}
     if not isinstance(content, dict) or depth > _MAX_DEPTH:
-        return []
+        return {}
     each = [c for c in content.values() if isinstance(c, dict)]
-    alike = each if len({frozenset(c) for c in each}) == 1 and len(each) >= FEWEST_RECORDS else []
-    nested = [_records(value, depth + 1) for value in content.values()]
-    return max([alike, *nested], key=len)
+    alike = len({frozenset(c) for c in each}) == 1 and len(each) >= FEWEST_RECORDS
+    lists = {name: each} if alike else {}
+    for key, value in content.items():
+        lists |= record_lists(value, f"{name}_{key}".strip("_"), depth + 1)
+    return lists
 
 
 def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:

@@ -14,7 +14,7 @@ import numpy as np
 from cell.study.imports.capture import CapturedColumn
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import HAND
-from cell.study.imports.documents import cells, read_document
+from cell.study.imports.documents import cells, read_document, record_lists
 from cell.study.imports.groups import Tree
 from cell.study.imports.units import METRES, RADIANS, unit_of
 
@@ -47,9 +47,16 @@ def streams_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
     raises  InputError: the document is damaged
     """
     parts: dict[str, list[Row]] = {}
-    for _, record in read_document(path).records:
-        for source, part in _by_clock(record).items():
-            parts.setdefault(source, []).append(dict(cells(part)))
+    document = read_document(path)
+    for name, records in record_lists(document.content).items():
+        rows = [dict(cells(record)) for record in records]
+        if _time(rows) is not None and any(_is_measured(c) for row in rows for c in row):
+            parts[name] = rows
+    if len(parts) < 2:
+        parts = {}
+        for _, record in document.records:
+            for source, part in _by_clock(record).items():
+                parts.setdefault(source, []).append(dict(cells(part)))
     single = next(iter(parts.values()), []) if len(parts) < 2 else []
     parts = parts if len(parts) > 1 else _by_source(single)
     windows = [w for rows in parts.values() for w in _windows(rows)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -151,6 +152,38 @@ def test_a_chain_whose_end_swings_with_the_tip_has_no_gripper(tmp_path: Path) ->
     said = run(table(tmp_path, "film.csv", names, values), "-o", tmp_path / "s", *CABLE, code=1)
     assert "swings by" in said and "gripper_x and gripper_y" in said
     assert not (tmp_path / "s" / "study.yaml").exists()
+
+
+def test_a_document_of_lists_with_times_of_their_own_is_one_motion(tmp_path: Path) -> None:
+    m, file = made(), tmp_path / "run.json"
+    robot = [
+        {"t_s": t, "x_m": x, "y_m": y, "angle_rad": angle}
+        for t, (x, y), angle in zip(m.t_s.tolist(), m.gripper_m, m.angle_rad, strict=True)
+    ]
+    frames = [
+        {
+            "t_s": t,
+            "markers": [dict(zip(("x_m", "y_m"), p, strict=True)) | {"name": n} for n, p in at],
+        }
+        for t, places_m in zip(m.t_s.tolist(), m.markers_m.tolist(), strict=True)
+        for at in [list(zip(NAMES, places_m, strict=True))]
+    ]
+    file.write_text(json.dumps({"by": "me", "robot": robot, "camera": {"frames": frames}}))
+    check_same(imported([str(file)], tmp_path / "study"), m)
+
+
+def test_documents_of_yaml_one_after_another_are_records(tmp_path: Path) -> None:
+    """As ROS prints messages."""
+    m, file = made(), tmp_path / "poses.yaml"
+    messages = [
+        {
+            "header": {"stamp": {"sec": 1_718_000_000 + int(t), "nanosec": round(t % 1.0 * 1e9)}},
+            "poses": [{"position": dict(zip("xyz", p, strict=True))} for p in at.tolist()],
+        }
+        for t, at in zip(m.t_s.tolist(), upright(places(m)), strict=True)
+    ]
+    file.write_text("".join(f"{json.dumps(message)}\n---\n" for message in messages))
+    check_places(imported([str(file)], tmp_path / "study"), m)
 
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.3, 0.8])
