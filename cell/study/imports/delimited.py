@@ -30,6 +30,7 @@ from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
+    of_frames,
     on_one_clock,
     pivoted,
     point_by_point,
@@ -37,7 +38,7 @@ from cell.study.imports.long_tables import (
     stacked,
     trials_of_blocks,
 )
-from cell.study.imports.remarks import without_units
+from cell.study.imports.remarks import stated_time, without_units
 from cell.study.imports.text_content import text_of
 from cell.study.imports.text_rows import (
     Row,
@@ -69,6 +70,8 @@ _BLANKS = 0.95
 _FORM_SHARE = 0.5
 #: Minimum number of cells of a word that means a missing value.
 _FEWEST_MISSING = 2
+#: Minimum number of blocks, or files, of a frame each.
+MIN_FRAMES = 10
 #: Maximum number of header lines; those of motion capture have a dozen.
 _MAX_HEADER = 200
 
@@ -100,6 +103,24 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
         notes += row_notes
         capture = _main_table(path, _tables(rows, form), form)
     return replace(capture, notes=(*notes, *capture.notes))
+
+
+def read_frames(
+    paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None = None
+) -> Capture:
+    """Read tables of one frame each, with a row per point.
+
+    numbers  of the frames
+    raises   InputError: as `read_delimited`, or a table has other columns than the first
+    """
+    parts = []
+    for path, number_of in zip(paths, numbers, strict=True):
+        text, _ = _text(path)
+        form = form or text_form(text)
+        table, labels = _raw_table(path, split_lines(path, text.splitlines(), form.separator), form)
+        lines = np.full(len(table.lines), number_of)
+        parts.append((replace(table, lines=lines, counted="frame's file"), labels))
+    return of_frames(parts, numbers)
 
 
 def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | None:
@@ -161,9 +182,12 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
     """
     tables: list[Sequence[Row]] = []
     begin, with_numbers, blank, words = 0, False, False, 0
+    of_frames_only = sum(stated_time(row.cells) is not None for row in rows) >= MIN_FRAMES
     for i, row in enumerate(rows):
         if row.blank:
             blank, words = True, i + 1
+        elif of_frames_only and not blank and stated_time(row.cells):
+            blank, words = True, i
         elif not row.is_data(form.decimal) or _is_remark(row, form.decimal):
             words = words if blank else i
         elif not blank or words == i:
@@ -197,6 +221,8 @@ def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> 
             titles[int(parts[-1][0].lines[0])] = title_of(rows, form.decimal)
         except InputError as error:
             problems.append(error)
+    if len(parts) >= MIN_FRAMES and all(table.stated_time for table, _ in parts):
+        return of_frames(parts, range(len(parts)))
     for part, labels in stacked(parts):
         try:
             read.append(pivoted(part, labels))
@@ -235,6 +261,9 @@ def _with_names_of_first(
             blocks.append((above, rows[first:last]))
     except InputError:
         return tables
+    if all(above and stated_time(above[-1]) for above, _ in blocks):  # blocks of a frame each
+        head = tables[0][: tables[0].index(blocks[0][1][0])]
+        return [tables[0], *([*head, *rows] for rows in tables[1:])]
     (above, table), others = blocks[0], blocks[1:]
     width = len(table[0].cells)
     titles = next((cells for cells in above[:-1] if len(cells) == width), None)
@@ -305,7 +334,7 @@ def captured(
     )
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
-    capture = replace(capture, pixel_m=header.pixel_m)
+    capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time)
     return capture, labels
 
 

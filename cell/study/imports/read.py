@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cell.files.input_error import InputError
+from cell.study.imports import delimited
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import (
     CONTAINERS,
@@ -223,6 +224,15 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
         capture = read_delimited(path, form)
     else:
         capture = _of_unknown_kind(path, form)
+    return _cleaned(capture)
+
+
+def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None) -> Capture:
+    """Read text tables of one frame each.  Raises InputError, as `read_capture`."""
+    return _cleaned(delimited.read_frames(paths, numbers, form))
+
+
+def _cleaned(capture: Capture) -> Capture:
     cleaned = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
     return with_quaternions(repaired(without_held(cleaned)))
 

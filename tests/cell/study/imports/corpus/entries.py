@@ -284,6 +284,8 @@ OTHERS = [
     Entry("LabVIEW", "a comment in the first row", others.labview),
     Entry("Octave", "text of variables", others.octave, lost=True),
     Entry("Octave", "text called .mat", partial(others.octave, ending="mat")),
+    Entry("gnuplot", "blocks of a frame", others.blocks, lost=True),
+    Entry("gnuplot", "comments between frames", partial(others.blocks, gap="")),
     Entry("OpenCV", "corners of tags", others.aruco, lost=True, remedy=_OF_PIXELS),
 ]
 ROBOTS = [

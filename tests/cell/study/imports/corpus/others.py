@@ -166,3 +166,12 @@ def aruco(s: Swing, folder: Path) -> Path:
                 if np.isfinite(at[i]).all()]  # fmt: skip
         found.append(json.dumps({"time_s": t, "tags": tags}))
     return saved(folder / f"{s.name}.jsonl", "\n".join(found))
+
+
+def blocks(s: Swing, folder: Path, *, gap: str = "\n\n") -> Path:
+    """gnuplot's blocks of a frame each below a comment with its time; `gap` is between them."""
+    found = "# cable, plot with index\n# columns: point x[mm] y[mm]; in the picture\n"
+    for i, t in enumerate(s.t_s):
+        rows = [[n, *cells(at[i : i + 1], 6)[0]] for n, at in plane(s).items()]
+        found += f"# t = {t:.5f} s\n" + lines([r for r in rows if r[1]], " ") + gap
+    return saved(folder / f"{s.name}.dat", found)
