@@ -280,14 +280,12 @@ def of_frames(parts: Sequence[Labelled], numbers: Sequence[float]) -> Capture:
     raises  InputError: a table has other columns than the first, or a point is there twice
     """
     first, labels = parts[0]
-    stated = {table.stated_time for table, _ in parts}
-    heads = [CapturedColumn("frame")]
-    times: list[float] = list(numbers)
+    heads, times = [CapturedColumn("frame")], list(numbers)
+    stated = dict.fromkeys(table.stated_time for table, _ in parts if table.stated_time)
     if any(meaning(c).kind is ColumnKind.TIME for c in first.columns):
         heads = []
-    elif len(stated) == len(parts) and None not in stated:
-        heads = [CapturedColumn("time", first.stated_time[1] if first.stated_time else "")]
-        times = [table.stated_time[0] for table, _ in parts if table.stated_time]
+    elif len(stated) == len(parts):
+        heads, times = [CapturedColumn("time", next(iter(stated))[1])], [t for t, _ in stated]
     for table, words in parts:
         if (table.columns, *words) != (first.columns, *labels):
             message = f"has columns {', '.join((*words, *table.names))}; the first frame has "

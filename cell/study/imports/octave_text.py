@@ -26,7 +26,7 @@ def is_octave_text(path: Path) -> bool:
 
 
 def octave_variables(path: Path) -> dict[str, Any]:
-    """Variables by name; a structure is a dictionary.
+    """Variables by name; a structure, or what a cell holds, is a dictionary.
 
     raises  InputError: the file cannot be read.  ValueError: a variable has another number of
             values than its size says
@@ -38,17 +38,14 @@ def octave_variables(path: Path) -> dict[str, Any]:
 def _variables(parts: Iterator[tuple[str, str]]) -> Iterator[tuple[str, Any]]:
     for name, text in parts:
         stated = dict(_PROPERTY.findall(text))
-        if "struct" in stated["type"]:
-            yield name, dict(_variables(islice(parts, int(stated["length"]))))
-        elif stated["type"] == "cell":
-            count = int(stated["rows"]) * int(stated["columns"])
-            values = [value for _, value in _variables(islice(parts, count))]
-            yield name, [value for value in values if isinstance(value, str)]
-        else:
-            try:
-                yield name, _value(stated, [v for v in text.splitlines() if v and v[0] != "#"])
-            except ValueError as error:
-                raise ValueError(f"{name!r}: {error}") from error
+        if "struct" in stated["type"] or stated["type"] == "cell":
+            length = stated.get("length") or int(stated["rows"]) * int(stated["columns"])
+            yield name, dict(_variables(islice(parts, int(length))))
+            continue
+        try:
+            yield name, _value(stated, [v for v in text.splitlines() if v and v[0] != "#"])
+        except ValueError as error:
+            raise ValueError(f"{name!r}: {error}") from error
 
 
 def _value(stated: dict[str, str], lines: list[str]) -> Any:
@@ -64,4 +61,4 @@ def _value(stated: dict[str, str], lines: list[str]) -> Any:
         return numbers[count:].reshape(numbers[:count].astype(int), order="F")
     if "rows" in stated:
         return numbers.reshape(int(stated["rows"]), int(stated["columns"]))
-    return numbers[0] if len(numbers) == 1 else numbers
+    return numbers.squeeze()
