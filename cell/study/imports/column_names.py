@@ -141,7 +141,7 @@ def meaning(column: CapturedColumn) -> Meaning:
 
 #: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
 _AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
-_NUMBER_AT_END = re.compile(r"(.*\w)(?:_|\[)([0-3])\]?")
+_NUMBER_AT_END = re.compile(r"(.*\w)[_:\[]([0-3])\]?")
 #: Kinds of columns whose final number may be an axis, if nothing else names the axis.
 _MAYBE_NUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 _QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
@@ -160,7 +160,7 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
     """The columns, with coordinates whose axis is a suffix of their name: `gripx, gripy`.
 
     A suffix is an axis if the file has x and y, or x, y and z, after one stem.  If there are no
-    other coordinates, those of a point may be numbered: `m1_1, m1_2, m1_3`, `m1[0], m1[1]`.
+    other coordinates, those of a point may be numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.
     """
     meanings = _with_pixels(meanings)
     forms = [_AXIS_AT_END]

@@ -33,6 +33,7 @@ from cell.study.imports.groups import (
 )
 from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
+from cell.study.imports.octave_text import is_octave_text, octave_variables
 from cell.study.imports.sheets import (
     WITH_SHEETS,
     cell_text,
@@ -77,7 +78,14 @@ def read_container(path: Path) -> Capture:
 
 
 def _tree(path: Path) -> tuple[Tree, Units]:
+    if is_octave_text(path):  # which may be called .mat
+        return flat(octave_variables(path)), {}
     return _TREES.get(path.suffix.lower(), line_protocol_tree)(path)
+
+
+def is_text_of_arrays(path: Path) -> bool:
+    """Whether a text holds named series: Octave's variables, or lines of a protocol."""
+    return is_octave_text(path) or is_line_protocol(path)
 
 
 def parts_of(path: Path) -> list[FilePart]:
@@ -88,7 +96,7 @@ def parts_of(path: Path) -> list[FilePart]:
     file, part = split_part(path)
     if has_sheets(file) and not part:
         return _read_checked(file, trials_in_sheets)
-    if part or not (file.suffix.lower() in _TREES or is_line_protocol(file)):
+    if part or not (file.suffix.lower() in _TREES or is_text_of_arrays(file)):
         return []
     tree, units = _read_checked(file, _tree)
 

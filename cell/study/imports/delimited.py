@@ -1,4 +1,4 @@
-"""Text tables of unknown form: detects separator, decimal mark, header, units and rows."""
+"""Text tables of unknown form: header, units and rows, wide or long, one or several."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
+    of_frames,
     on_one_clock,
     pivoted,
     point_by_point,
@@ -37,14 +38,14 @@ from cell.study.imports.long_tables import (
     stacked,
     trials_of_blocks,
 )
-from cell.study.imports.remarks import without_units
+from cell.study.imports.remarks import stated_time, without_units
 from cell.study.imports.text_content import text_of
+from cell.study.imports.text_form import SAMPLE, check_form, text_form
 from cell.study.imports.text_rows import (
     Row,
     bare,
     goes_on,
     is_like,
-    split_line,
     split_lines,
     title_of,
     upright,
@@ -56,19 +57,12 @@ from cell.study.imports.text_rows import (
 from cell.study.imports.vector_cells import with_single_cells
 from cell.study.table import MAX_ROWS
 
-#: In order of preference; a blank stands for any number of blanks.
-SEPARATORS = (",", ";", "\t", "|", " ")
-DECIMALS: tuple[Decimal, ...] = (".", ",")
-#: Lines from which the form of a text is detected, and how many of these are sampled.
-_SAMPLE, _SAMPLED = 400, 80
 #: Lines read cell by cell before the others are read at once: more than any header has.
 _HEAD = 60
-#: Weight of blanks as the separator: another one may yield so much fewer numbers.
-_BLANKS = 0.95
-#: A form is rejected if it yields less than this share of the numbers of the detected form.
-_FORM_SHARE = 0.5
 #: Minimum number of cells of a word that means a missing value.
 _FEWEST_MISSING = 2
+#: Minimum number of blocks, or files, of a frame each.
+MIN_FRAMES = 10
 #: Maximum number of header lines; those of motion capture have a dozen.
 _MAX_HEADER = 200
 
@@ -91,7 +85,7 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
-        _check_form(path, text, form)
+        check_form(path, text, form)
     form = form or text_form(text)
     lines = with_legend(without_properties(raw, form.separator), form.separator)
     capture = _long_table(path, lines, form)
@@ -100,6 +94,24 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
         notes += row_notes
         capture = _main_table(path, _tables(rows, form), form)
     return replace(capture, notes=(*notes, *capture.notes))
+
+
+def read_frames(
+    paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None = None
+) -> Capture:
+    """Read tables of one frame each, with a row per point.
+
+    numbers  of the frames
+    raises   InputError: as `read_delimited`, or a table has other columns than the first
+    """
+    parts = []
+    for path, number_of in zip(paths, numbers, strict=True):
+        text, _ = _text(path)
+        form = form or text_form(text)
+        table, labels = _raw_table(path, split_lines(path, text.splitlines(), form.separator), form)
+        lines = np.full(len(table.lines), number_of)
+        parts.append((replace(table, lines=lines, counted="frame's file"), labels))
+    return of_frames(parts, numbers)
 
 
 def _long_table(path: Path, lines: Sequence[str], form: TextForm) -> Capture | None:
@@ -161,9 +173,12 @@ def _tables(rows: Sequence[Row], form: TextForm) -> list[Sequence[Row]]:
     """
     tables: list[Sequence[Row]] = []
     begin, with_numbers, blank, words = 0, False, False, 0
+    of_frames_only = sum(stated_time(row.cells) is not None for row in rows) >= MIN_FRAMES
     for i, row in enumerate(rows):
         if row.blank:
             blank, words = True, i + 1
+        elif of_frames_only and not blank and stated_time(row.cells):
+            blank, words = True, i
         elif not row.is_data(form.decimal) or _is_remark(row, form.decimal):
             words = words if blank else i
         elif not blank or words == i:
@@ -197,6 +212,8 @@ def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> 
             titles[int(parts[-1][0].lines[0])] = title_of(rows, form.decimal)
         except InputError as error:
             problems.append(error)
+    if len(parts) >= MIN_FRAMES and all(table.stated_time for table, _ in parts):
+        return of_frames(parts, range(len(parts)))
     for part, labels in stacked(parts):
         try:
             read.append(pivoted(part, labels))
@@ -235,6 +252,9 @@ def _with_names_of_first(
             blocks.append((above, rows[first:last]))
     except InputError:
         return tables
+    if all(above and stated_time(above[-1]) for above, _ in blocks):  # blocks of a frame each
+        head = tables[0][: tables[0].index(blocks[0][1][0])]
+        return [tables[0], *([*head, *rows] for rows in tables[1:])]
     (above, table), others = blocks[0], blocks[1:]
     width = len(table[0].cells)
     titles = next((cells for cells in above[:-1] if len(cells) == width), None)
@@ -290,7 +310,7 @@ def captured(
     """
     table, columns = without_units(path, table, header.columns, decimal)
     header = replace(header, columns=columns)
-    grouped = any(is_grouped(c.strip(), decimal) for row in table[:_SAMPLE] for c in row.cells)
+    grouped = any(is_grouped(c.strip(), decimal) for row in table[:SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
     values, notes = _values(path, table, header, numeric, decimal, grouped)
     labels = {
@@ -305,50 +325,8 @@ def captured(
     )
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
-    capture = replace(capture, pixel_m=header.pixel_m)
+    capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time)
     return capture, labels
-
-
-def text_form(text: str) -> TextForm:
-    """Separator and decimal mark under which most of a text is numbers in rows of equal width."""
-    lines = _sample(text)
-    there = [s for s in SEPARATORS if s == " " or any(s in line for line in lines)]
-    forms = [TextForm(separator, decimal) for separator in there for decimal in DECIMALS]
-    return max(forms, key=lambda f: _numbers(lines, f) * (_BLANKS if f.separator == " " else 1.0))
-
-
-def _sample(text: str) -> list[str]:
-    """Lines from all over the beginning of a text."""
-    lines = text.splitlines()[:_SAMPLE]
-    return lines[:: max(1, len(lines) // _SAMPLED)]
-
-
-def _numbers(lines: Sequence[str], form: TextForm) -> int:
-    """Number of numeric cells in rows of equal width, minus the non-numeric ones."""
-    counts: Counter[int] = Counter()
-    for line in lines:
-        cells = split_line(line, form.separator)
-        if len(cells) < 2:
-            continue
-        values = [number(c, form.decimal) for c in cells]
-        bad = values.count(None)
-        good = sum(v is not None and v == v for v in values)
-        if good and good >= bad:
-            counts[len(cells)] += good - bad
-    return max(counts.values(), default=0)
-
-
-def _check_form(path: Path, text: str, form: TextForm) -> None:
-    """Raise InputError if another form fits a text much better than the stated one."""
-    lines, own = _sample(text), text_form(text)
-    if _numbers(lines, form) >= _FORM_SHARE * _numbers(lines, own):
-        return
-    raise InputError.at(
-        path,
-        f"is no table between {form.separator!r} with the decimal mark {form.decimal!r}, as the "
-        f"mapping says; it seems to be one between {own.separator!r} with {own.decimal!r}: give "
-        f"its trial text: {{separator: {own.separator!r}, decimal: {own.decimal!r}}}",
-    )
 
 
 def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.study.imports.capture import CapturedColumn, number
@@ -22,6 +23,8 @@ from cell.study.table import MAX_BYTES, MAX_ROWS
 AXES = {2: "xy", 3: "xyz", 4: "xyzw"}
 #: Keys of a record that identify its point.
 _LABELS = ("name", "label", "id", "child_frame_id", "marker_id", "tag_id")
+#: Name of the corners of a tag, whose mean is its place.
+CORNERS = re.compile(r"(?:.* )?corners")
 _MAX_DEPTH, FEWEST_RECORDS = 8, 3
 #: OpenCV's first line, which is no YAML, its matrices, and its word for no number.
 _OF_OPENCV = re.compile(r"%YAML:[\d.]+")
@@ -160,10 +163,14 @@ def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
         return
     if isinstance(content, Mapping):
         for key, item in content.items():
+            if key == "corners" and "center" in content:
+                continue  # the same place
             bare, unit = split_unit(name)
             path = f"{bare} {key} {unit}" if unit and not split_unit(key)[1] else f"{name} {key}"
             yield from cells(item, depth + 1, path.strip())
     elif isinstance(content, list):
+        if CORNERS.fullmatch(name) and (corners := _corners(content)) is not None:
+            content = corners.mean(axis=0).tolist()
         plain = all(item is None or isinstance(item, int | float) for item in content)
         axes = AXES.get(len(content), "") if plain else ""
         bare, unit = split_unit(name)
@@ -179,6 +186,15 @@ def cells(content: Any, depth: int = 0, name: str = "") -> Iterator[Cell]:
     else:
         value = number(str(content), ".")
         yield CapturedColumn(*split_unit(name)), str(content) if value is None else value
+
+
+def _corners(content: list[Any]) -> FloatArray | None:
+    """(4, 2) corners of a square tag; None = it is another list."""
+    try:
+        corners = np.squeeze(np.array(content, dtype=np.float64))
+    except (TypeError, ValueError):  # no numbers, or lists of several lengths
+        return None
+    return corners if corners.shape == (4, 2) else None
 
 
 def _label(item: Any, index: int) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import CapturedColumn, number
-from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m
+from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m, stated_time
 from cell.study.imports.text_rows import REMARKS, split_line
 from cell.study.imports.units import METRES, unit_of
 
@@ -20,6 +20,7 @@ Lines = Sequence[tuple[int, tuple[str, ...]]]
 _NO_NAMES = frozenset(("type", "id", "parent"))
 _AXES = frozenset(("", "x", "y", "z"))
 _RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|frequency|freq|fps)\b")
+_COLUMNS = re.compile(r"(?:columns?|fields?)(?: names?)?\s*:\s*(.*)", re.IGNORECASE)
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
 #: Maximum number of characters of an unknown unit.
 _LONGEST_UNIT = 4
@@ -31,12 +32,14 @@ class Header:
     """Columns of a table, and metadata that apply to all of them.
 
     pixel_m  length of a pixel, m; None = it is not stated
+    time     of all rows, and its unit; None = it is not stated
     """
 
     columns: tuple[CapturedColumn, ...]
     rate_hz: float | None
     unit: str
     pixel_m: float | None = None
+    time: tuple[float, str] | None = None
 
 
 def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
@@ -49,6 +52,8 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
     width = len(row)
     rows = [(line, _without_remark(cells)) for line, cells in lines]
     rows = [(line, cells) for line, cells in rows if any(c.strip() for c in cells)]
+    times = {line: time for line, cells in rows if (time := stated_time(cells)) is not None}
+    rows = [(line, cells) for line, cells in rows if line not in times]
     rate_hz, unit = _stated_rate_and_unit(rows)
     units = [""] * width
     naming = list(rows)
@@ -72,6 +77,7 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
         rate_hz,
         unit,
         stated_pixel_m(path, rows),
+        next(reversed(times.values()), None),
     )
 
 
@@ -79,8 +85,18 @@ def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:
     for mark in REMARKS:
         if cells and cells[0].lstrip().startswith(mark):
             first = cells[0].lstrip()[len(mark) :].strip()
-            return (first, *cells[1:]) if first or len(cells) < 2 else cells[1:]
+            return _listed((first, *cells[1:]) if first or len(cells) < 2 else cells[1:])
     return cells
+
+
+def _listed(cells: tuple[str, ...]) -> tuple[str, ...]:
+    """Names behind `columns:`, up to a semicolon; other cells unchanged."""
+    first, *others = cells
+    if (listed := _COLUMNS.fullmatch(first)) is None:
+        return cells
+    names = (*filter(None, listed.groups()), *others)
+    end = next((i for i, name in enumerate(names) if name.endswith(";")), len(names))
+    return tuple(name.rstrip(";") for name in names[: end + 1])
 
 
 def _units_row(cells: Sequence[str], width: int) -> list[str] | None:

@@ -1,4 +1,4 @@
-"""Joins files of one motion: a file per point, or a separate file of the gripper's angle."""
+"""Joins files of one motion: one per frame or point, or a separate one of the gripper's angle."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture
 from cell.study.imports.contents import HAND, contents
+from cell.study.imports.delimited import MIN_FRAMES
+from cell.study.imports.long_tables import names_points
+from cell.study.imports.read import read_frames
 
 #: Times that differ by less than this fraction of a row are equal; minimum points of a motion.
 _SAME_TIME = 0.01
@@ -28,6 +31,10 @@ def joined(captures: Sequence[Capture]) -> Capture:
 
     raises  InputError: a file has times between those of the others
     """
+    if (numbers := frame_numbers(captures)) is not None:
+        order = np.argsort(numbers)
+        paths = [captures[i].path for i in order]
+        return read_frames(paths, sorted(numbers), captures[0].form)
     first, labels = captures[0], _labels([c.path for c in captures])
     time = contents(first).time or ""
     all_names = [name for c in captures for name in c.names if name != time]
@@ -51,6 +58,29 @@ def joined(captures: Sequence[Capture]) -> Capture:
         first, columns=tuple(columns), values=np.column_stack(values), lines=lines,
         notes=tuple(notes),
     )  # fmt: skip
+
+
+def frame_numbers(captures: Sequence[Capture]) -> list[int] | None:
+    """Numbers in the files' names, if every file holds the points of one frame; else None.
+
+    Files that have more rows than there are files hold the frames of one point each.
+    """
+    names = [re.findall(r"\d+", c.path.stem) for c in captures]
+    numbers = [n for n in zip(*names, strict=False) if len(set(map(int, n))) == len(n)]
+    few = len(captures) < max(MIN_FRAMES, *(len(c.values) for c in captures))
+    if few or not numbers or not all(map(_is_frame, captures)):
+        return None
+    return [int(n) for n in numbers[-1]]
+
+
+def _is_frame(capture: Capture) -> bool:
+    """Whether rows are points of one time: a table of one time, or of one point without times."""
+    inside = contents(capture)
+    if capture.form is None or inside.has_gripper_sensor:
+        return False
+    if inside.time is None or (inside.counts and names_points(inside.time)):
+        return len(inside.points) == 1
+    return bool(np.ptp(capture.column(inside.time)) == 0.0)
 
 
 def on_one_grid(captures: Sequence[Capture]) -> bool:
@@ -83,11 +113,17 @@ def same_times(first: Capture, second: Capture) -> bool:
 
 
 def motions(captures: Sequence[Capture], gripper_elsewhere: bool = False) -> list[list[int]]:
-    """Indices of the files of each motion, if every file holds one point; else empty.
+    """Indices of the files of each motion, if every file holds one frame or point; else empty.
 
-    Motions differ by folder, or by the first or last words of their files' names; the other words
-    name the point.  One point must be named after the gripper, unless that is in other files.
+    Motions differ by folder; those of points also by the first or last words of their files' names,
+    of which the other words name the point.  One point must be named after the gripper, unless that
+    is in other files.
     """
+    folders: dict[Path, list[int]] = {}
+    for i, capture in enumerate(captures):
+        folders.setdefault(capture.path.parent, []).append(i)
+    if all(frame_numbers([captures[i] for i in each]) for each in folders.values()):
+        return list(folders.values())
     contents_list = [contents(c) for c in captures]
     single = all(len(i.points) == 1 and not i.has_gripper_sensor for i in contents_list)
     if len(captures) < _MIN_POINTS or not single:

@@ -15,7 +15,7 @@ import numpy as np
 
 from cell.study.imports.capture import number
 from cell.study.imports.groups import Tree
-from cell.study.imports.text_content import text_of
+from cell.study.imports.text_content import head_of, text_of
 
 _PART = r"(?:\\.|[^,=\s\\])+"
 _VALUE = r"(?:\"(?:\\.|[^\"\\])*\"|[^,\s\"]+)"
@@ -23,8 +23,8 @@ _LINE = re.compile(
     rf"({_PART})((?:,{_PART}={_PART})*)\s+({_PART}={_VALUE}(?:,{_PART}={_VALUE})*)\s+(-?\d+)"
 )
 _PAIR = re.compile(rf"({_PART})=({_VALUE})")
-#: Bytes and lines to test at the start, and the fraction of lines that must match the protocol.
-_HEAD_BYTES, _HEAD_LINES, _MIN_FRACTION = 1 << 15, 100, 0.8
+#: Lines to test at the start, and the fraction of them that must match the protocol.
+_HEAD_LINES, _MIN_FRACTION = 100, 0.8
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,7 @@ class _Record:
 
 def is_line_protocol(path: Path) -> bool:
     """Whether a file holds lines of the protocol."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace")
-    except OSError:  # reading it later reports the error
-        return False
-    lines = [s for s in head.splitlines()[:_HEAD_LINES] if s and s[0] != "#"]
+    lines = [s for s in head_of(path).splitlines()[:_HEAD_LINES] if s and s[0] != "#"]
     count = sum(_LINE.fullmatch(line.strip()) is not None for line in lines)
     return count > 2 and count >= _MIN_FRACTION * len(lines)
 

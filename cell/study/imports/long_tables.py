@@ -118,14 +118,23 @@ def _is_key(words: Sequence[str]) -> bool:
     return 2 <= len(set(words)) <= min(_MAX_LABELS, len(words) - 1)
 
 
+def names_points(name: str) -> bool:
+    """Whether a column of integers identifies markers, by a word of its name."""
+    return bool(_MARKER_WORDS.intersection(name.lower().replace("_", " ").split()))
+
+
 def _marker_numbers(capture: Capture, time: int) -> dict[str, list[str]]:
     """Integer columns that identify markers, as labels."""
     numbers = {}
     for index, column in enumerate(capture.columns):
         ids = capture.values[:, index]
-        has_word = _MARKER_WORDS.intersection(column.name.lower().replace("_", " ").split())
         integral = np.isfinite(ids).all() and np.all(ids == np.round(ids))
-        if has_word and integral and index != time and 2 <= len(np.unique(ids)) <= _MAX_LABELS:
+        if (
+            names_points(column.name)
+            and integral
+            and index != time
+            and 2 <= len(np.unique(ids)) <= _MAX_LABELS
+        ):
             numbers[column.name] = [f"marker {int(i)}" for i in ids]
     return numbers
 
@@ -263,6 +272,37 @@ def stacked(parts: Sequence[Labelled]) -> list[Labelled]:
                 continue
         merged.append((part, labels))
     return merged
+
+
+def of_frames(parts: Sequence[Labelled], numbers: Sequence[float]) -> Capture:
+    """One row per time, of tables of a frame each: at its stated time, else by its number.
+
+    raises  InputError: a table has other columns than the first, or a point is there twice
+    """
+    first, labels = parts[0]
+    heads, times = [CapturedColumn("frame")], list(numbers)
+    stated = dict.fromkeys(table.stated_time for table, _ in parts if table.stated_time)
+    if any(meaning(c).kind is ColumnKind.TIME for c in first.columns):
+        heads = []
+    elif len(stated) == len(parts):
+        heads, times = [CapturedColumn("time", next(iter(stated))[1])], [t for t, _ in stated]
+    for table, words in parts:
+        if (table.columns, *words) != (first.columns, *labels):
+            message = f"has columns {', '.join((*words, *table.names))}; the first frame has "
+            message += f"{', '.join((*labels, *first.names))}: give frames of one export"
+            raise table.error(0, message)
+    blocks = [np.column_stack([np.full((len(table.values), len(heads)), t), table.values])
+              for (table, _), t in zip(parts, times, strict=True)]  # fmt: skip
+    joint = replace(
+        first,
+        columns=(*heads, *first.columns),
+        values=np.vstack(blocks),
+        lines=np.concatenate([table.lines for table, _ in parts]),
+    )
+    labels = {name: [w for _, words in parts for w in words[name]] for name in labels}
+    if not labels and not _marker_numbers(joint, 0):
+        labels = {"point": [f"point {k + 1}" for b in blocks for k in range(len(b))]}
+    return pivoted(joint, labels)
 
 
 def point_by_point(tables: Sequence[Capture]) -> Capture | None:

@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 
 from cell.files.input_error import InputError
+from cell.study.imports import delimited
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import (
     CONTAINERS,
     capture_of,
     flat,
+    is_text_of_arrays,
     read_container,
 )
 from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
-from cell.study.imports.documents import FEWEST_RECORDS, cells, is_xml, read_document
+from cell.study.imports.documents import CORNERS, FEWEST_RECORDS, cells, is_xml, read_document
 from cell.study.imports.groups import split_part
-from cell.study.imports.line_protocol import is_line_protocol
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
@@ -69,7 +70,11 @@ def _table(path: Path, records: Sequence[tuple[int, Any]], counted: str) -> Capt
     labels = {
         c.name: [str(row.get(c, "")) for row in rows] for c in columns if c.name in text_names
     }  # fmt: skip
-    return pivoted(Capture(path, tuple(numeric), values, lines, counted=counted), labels)
+    has_corners = any(CORNERS.fullmatch(c.name.removesuffix(" x")) for c in numeric)
+    notes = (f"{path}: the mean of a tag's four corners is its place",) if has_corners else ()
+    return pivoted(
+        Capture(path, tuple(numeric), values, lines, notes=notes, counted=counted), labels
+    )
 
 
 #: Keys that the second line may hold; the third has their values.
@@ -210,7 +215,7 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     """
     file, part = split_part(path)
     ending = file.suffix.lower()
-    if part or (ending not in _READERS and is_line_protocol(file)):
+    if part or (ending not in _READERS and is_text_of_arrays(file)):
         capture = read_container(path)
     elif ending in _READERS and not (ending in WITH_SHEETS and not has_sheets(file)):
         capture = _READERS[ending](path)
@@ -220,6 +225,15 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
         capture = read_delimited(path, form)
     else:
         capture = _of_unknown_kind(path, form)
+    return _cleaned(capture)
+
+
+def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None) -> Capture:
+    """Read text tables of one frame each.  Raises InputError, as `read_capture`."""
+    return _cleaned(delimited.read_frames(paths, numbers, form))
+
+
+def _cleaned(capture: Capture) -> Capture:
     cleaned = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
     return with_quaternions(repaired(without_held(cleaned)))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import NOT_SEEN, CapturedColumn, Decimal, is_number
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.text_rows import WITH_UNIT, Row
 from cell.study.imports.units import METRES, RADIANS, SECONDS, unit_of
 
@@ -27,6 +28,20 @@ _PIXELS = (
     re.compile(rf"\b1\s*(?:px|pixel)\s*=\s*{_VALUE}\s*{_LONG}\b", re.I),
     re.compile(rf"\b(?:px|pixels?)[ _]?(?:per|/)[ _]?{_LONG}\s*[:=]\s*{_VALUE}", re.I),
 )
+
+
+_TIME = re.compile(r"([^\W\d][^:=]*?)\s*[:=]\s*([-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)\s*(\w*)", re.I)
+
+
+def stated_time(cells: Sequence[str]) -> tuple[float, str] | None:
+    """Time that a remark states for all rows below it, and its unit; None = it states none."""
+    match = _TIME.fullmatch(" ".join(" ".join(cells).lstrip("#%/ ").split()))
+    by_name = meaning(CapturedColumn(match[1])) if match else None
+    if match is None or by_name is None or by_name.kind is not ColumnKind.TIME:
+        return None
+    unit = unit_of(match[3]) or by_name.unit
+    known = unit in SECONDS or not match[3]
+    return (float(match[2].replace(",", ".")), unit) if known else None
 
 
 def _texts(rows: _Lines) -> list[tuple[int, str]]:

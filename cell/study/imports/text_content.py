@@ -13,6 +13,7 @@ from cell.study.table import MAX_BYTES
 
 #: Minimum Chinese characters of GB 2312; fewer may be accented letters of Windows-1252.
 _MIN_CHINESE = 4
+_HEAD_BYTES = 1 << 15
 _CONTROL_BYTES = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
@@ -54,6 +55,15 @@ def _windows_encodings(content: bytes) -> list[str]:
     except UnicodeDecodeError:
         return ["cp1252"]
     return ["gb18030", "cp1252"] if len(chinese) >= _MIN_CHINESE else ["cp1252"]
+
+
+def head_of(path: Path) -> str:
+    """Beginning of a file as text; empty = it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace")
+    except OSError:  # reading it later reports the error
+        return ""
 
 
 def is_text(path: Path) -> bool:

@@ -90,8 +90,8 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
     if first.joined_files:
-        joined = ", ".join(Path(name).name for name in first.joined_files)
-        sentence = f"{first.capture.path.name} and {joined} have times of one recording: "
+        joined = first_of([Path(name).name for name in first.joined_files], 8)
+        sentence = f"{Path(first.file).name} and {joined} are of one recording: "
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)

@@ -282,6 +282,11 @@ OTHERS = [
     Entry("Foxglove", "messages with two times", others.stamped_json),
     Entry("ROS 2", "messages received twice", others.received_twice),
     Entry("LabVIEW", "a comment in the first row", others.labview),
+    Entry("Octave", "text of variables", others.octave, lost=True),
+    Entry("Octave", "text called .mat", partial(others.octave, ending="mat")),
+    Entry("gnuplot", "blocks of a frame", others.blocks, lost=True),
+    Entry("gnuplot", "comments between frames", partial(others.blocks, gap="")),
+    Entry("OpenCV", "corners of tags", others.aruco, lost=True, remedy=_OF_PIXELS),
 ]
 ROBOTS = [
     Entry("Universal Robots", "record", logs.ur, remedy=_BASE),

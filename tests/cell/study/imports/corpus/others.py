@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .swing import MARKERS, RATE_HZ, Swing
-from .text import POINTS, cells, framed, lines, plane, saved, space, trc
+from .text import POINTS, Floats, cells, framed, lines, plane, saved, space, trc
 
 
 def own_ending(s: Swing, folder: Path) -> Path:
@@ -136,3 +136,42 @@ def labview(s: Swing, folder: Path) -> Path:
     rows[0].append("Trigger")
     table = lines([["X_Value", *names, "Comment"], *rows], "\t")
     return saved(folder / f"{s.name}.lvm", "\n".join(head) + "\n" + table, newline="\r\n")
+
+
+def octave(s: Swing, folder: Path, *, ending: str = "txt") -> Path:
+    """Octave's text of variables: a range, a structure and matrices with gaps."""
+
+    def matrix(name: str, values: Floats) -> str:
+        rows = "\n".join(" " + " ".join(row) for row in cells(values, 9, lost="NaN"))
+        size = f"# rows: {len(values)}\n# columns: {values.shape[1]}"
+        return f"# name: {name}\n# type: matrix\n{size}\n{rows}\n\n\n"
+
+    steps = f"0 {s.t_s[-1]:.15g} {1 / RATE_HZ:g}"
+    head = "# Created by Octave 8.4.0, Mon Jun 03 10:11:12 2024 UTC <lab@pc>\n# name: time_s\n"
+    head += f"# type: double_range\n# base, limit, increment\n{steps}\n\n\n# name: gripper\n"
+    head += "# type: scalar struct\n# ndims: 2\n 1 1\n# length: 2\n"
+    variables = [matrix("at_m", s.gripper_m), matrix("angle_rad", s.angle_rad[:, None]), "\n",
+                 *(matrix(f"{n}_m", at) for n, at in zip(MARKERS, s.markers_m.swapaxes(0, 1),
+                                                        strict=True))]  # fmt: skip
+    return saved(folder / f"{s.name}.{ending}", head + "".join(variables))
+
+
+def aruco(s: Swing, folder: Path) -> Path:
+    """Corners of square tags in pixels, a frame in each line, as OpenCV detects them."""
+    found = []
+    square = 20.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for i, t in enumerate(s.t_s):
+        tags = [{"id": 40 + k, "name": name, "corners": (at[i] + square).round(6).tolist()}
+                for k, (name, at) in enumerate(plane(s, up=-1.0, unit_m=0.0005).items())
+                if np.isfinite(at[i]).all()]  # fmt: skip
+        found.append(json.dumps({"time_s": t, "tags": tags}))
+    return saved(folder / f"{s.name}.jsonl", "\n".join(found))
+
+
+def blocks(s: Swing, folder: Path, *, gap: str = "\n\n") -> Path:
+    """gnuplot's blocks of a frame each below a comment with its time; `gap` is between them."""
+    found = "# cable, plot with index\n# columns: point x[mm] y[mm]; in the picture\n"
+    for i, t in enumerate(s.t_s):
+        rows = [[n, *cells(at[i : i + 1], 6)[0]] for n, at in plane(s).items()]
+        found += f"# t = {t:.5f} s\n" + lines([r for r in rows if r[1]], " ") + gap
+    return saved(folder / f"{s.name}.dat", found)
