@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.representer import SafeRepresenter
 from ruamel.yaml.scanner import Scanner
 
 from cell.files.input_error import InputError, Problem, did_you_mean
@@ -176,12 +177,26 @@ def document_of(text: str, path: Path) -> Document:
     return Document(path, data, places)
 
 
+class _Representer(SafeRepresenter):
+    """Writes 1e-05 as 1.0e-05: without a point, YAML 1.1 takes it for a text."""
+
+    def represent_float(self, data: float) -> ScalarNode:
+        node: ScalarNode = super().represent_float(data)
+        if "." not in node.value:
+            node.value = node.value.replace("e", ".0e")
+        return node
+
+
+_Representer.add_representer(float, _Representer.represent_float)
+
+
 def yaml_text(data: Mapping[str, Any], *, inline: bool = False) -> str:
     """Plain data as YAML, in their order.
 
     inline  lists and sections that hold no others are written in one line
     """
     writer: Any = YAML(typ="safe", pure=True)
+    writer.Representer = _Representer
     writer.default_flow_style = None if inline else False
     writer.width = 98
     writer.sort_base_mapping_type_on_output = False

@@ -5,6 +5,7 @@ They precede those of every trial, see `trial_checks`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -15,7 +16,7 @@ from cell.study.clocks import GAP_S, GAP_STEPS, CutOff
 from cell.study.series import span_m
 from cell.study.table import MAX_TRIAL_S
 from cell.study.tracks import HELD_ROWS, identical, repeated_rows
-from cell.study.trial_checks import TrialEvidence, exchanged
+from cell.study.trial_checks import TrialEvidence, cable_ahead, cable_waits, exchanged
 
 #: Least motion of a marker on a moving cable, share of the motion of the others.
 STAYS = 1e-3
@@ -229,8 +230,20 @@ def held_rows(e: TrialEvidence) -> Failure | None:
     return None if repeated is None else Failure({"rows": repeated[1]}, repeated[0])
 
 
+#: Remedies for clocks that differ, by entries of a trial in the mapping.
+_WAITS = "add this to clock_offset_s of the trial, 0 if it has none"
+_AHEAD = "subtract {late_s:.2g} s from clock_offset_s of the trial, 0 if it has none; if the cable "
+_AHEAD += "was let go, give `start: held` with release_s: {cable_s:.3g}; if it swings already, "
+_AHEAD += "`start: moving`"
 #: All failures are reported.
 IMPORT_REFUSALS = (too_long, log_gap, log_ends, log_begins, same_marker, not_on_cable)
 #: Evaluated if none of these fails; only the first failure is reported.
-IMPORT_SHAPE = (hand_scale, exchanged, longer_than_cable, out_of_plane)
+IMPORT_SHAPE = (
+    hand_scale,
+    replace(cable_waits, remedy=_WAITS),
+    replace(cable_ahead, outcome="refused", remedy=_AHEAD),
+    exchanged,
+    longer_than_cable,
+    out_of_plane,
+)
 IMPORT_NOTES = (wide, held_rows)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import Cable
+from cell.cable.geometry import ROUGHLY_STILL, Cable, moves_from_s
 from cell.files.input_error import Problem
 from cell.study.check import Failure, failures, noted, refused
 from cell.study.clocks import (
+    AWAY,
     FIRST_MOTION,
     MEDIAN_OF,
     WITHIN,
@@ -462,6 +463,23 @@ def moves_first(e: TrialEvidence) -> Failure | None:
     return Failure({"reach_mm": motion.reach_m * 1e3, "meant": meant})
 
 
+@noted(
+    "way of the gripper in a trial with a release, free lengths",
+    f"{AWAY:g}",
+    "the cable is said to be let go at {release_s:.3g} s, yet its gripper moves by {moved_mm:.3g} "
+    "mm from {hand_s:.3g} s on;",
+    "if this motion begins the swing, give `start: equilibrium` without release_s; else check both "
+    "clocks",
+)
+def moves_when_let_go(e: TrialEvidence) -> Failure | None:
+    """Does the gripper stay where a cable is let go?"""
+    moved_m, release_s = span_m(e.poses[:, 1:3]), e.trial.release_s
+    if release_s is None or moved_m < AWAY * e.cable.length_m:
+        return None
+    hand_s = moves_from_s(e.trial.grip, ROUGHLY_STILL)
+    return Failure({"release_s": release_s, "hand_s": hand_s, "moved_mm": moved_m * 1e3})
+
+
 #: Checks of every trial; only the first failure is reported.
 TRIAL_REFUSALS = (
     hand_unit,
@@ -477,7 +495,7 @@ TRIAL_REFUSALS = (
     wrong_side,
     frame_rate,
 )
-TRIAL_NOTES = (beyond_arc, rises, cable_ahead, moves_first)
+TRIAL_NOTES = (beyond_arc, rises, cable_ahead, moves_first, moves_when_let_go)
 
 
 def trial_problems(

@@ -309,7 +309,7 @@ def preview_of(
     arcs = [m.arc_length_m for m in read.mapping.markers]
     tip_first = np.array([np.nan if a is None else a for a in arcs[::-1]], dtype=np.float64)
     facts = facts_of(trials, tip_first, read.mapping.gravity_m_per_s2)
-    odd = [*notes, *oddities(facts, read.mapping.noise_std_m)]
+    odd = [*notes, *oddities(facts if read.mapping.is_to_scale else (), read.mapping.noise_std_m)]
     wrong = [str(p) for p in problems]
     title = f"Preview of {read.mapping.name}: nothing is written yet"
     says = {

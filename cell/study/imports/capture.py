@@ -61,6 +61,12 @@ _SHEET_DATETIME = re.compile(
     r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?(?: ?([AP])M)?",
     re.IGNORECASE,
 )
+#: A date whose month is a word, as MATLAB writes it, and that word in English, German and French.
+_NAMED_MONTH = re.compile(r"(\d{1,2})-([^\W\d_]{3,5})\.?-(\d{4})(?=,? )")
+_MONTHS = {word: month for month, words in enumerate(
+    ("jan janv", "feb fév févr", "mar mär mrz mars", "apr avr", "may mai", "jun juin", "jul juil",
+     "aug août", "sep sept", "oct okt", "nov", "dec dez déc"), 1) for word in words.split()
+}  # fmt: skip
 
 
 @lru_cache(maxsize=2**16)  # each pass over a table's cells asks again
@@ -101,7 +107,7 @@ def is_grouped(text: str, decimal: Decimal) -> bool:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day, or a date with one, by its form."""
-    text = cell.strip()
+    text = _with_number_of_month(cell.strip())
     return any(form.fullmatch(text) for form in (_CLOCK, _ISO_DATETIME, _SHEET_DATETIME))
 
 
@@ -121,9 +127,16 @@ def _iso_datetime_s(text: str) -> float | None:
     return moment.timestamp() + float(f"0.{fraction or 0}")
 
 
+def _with_number_of_month(text: str) -> str:
+    """A text in which a date such as 30-Nov-2026 is written 30.11.2026."""
+    match = _NAMED_MONTH.match(text)
+    month = None if match is None else _MONTHS.get(match[2].lower())
+    return text if not match or not month else f"{match[1]}.{month}.{match[3]}{text[match.end() :]}"
+
+
 def _sheet_datetime_s(text: str) -> float | None:
-    """Seconds since 1970 of a date and a time of a spreadsheet; None = another form."""
-    match = _SHEET_DATETIME.fullmatch(text)
+    """Seconds since 1970 of a date and a time of a spreadsheet or MATLAB; None = another form."""
+    match = _SHEET_DATETIME.fullmatch(_with_number_of_month(text))
     if match is None:
         return None
     first, mark, second, year, hours, minutes, seconds, am_pm = match.groups()

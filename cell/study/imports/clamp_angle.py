@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, ImportFindings
+from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings, Sure
+from cell.study.imports.column_names import Meaning, meaning
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.gripper_section import (
     BODY_AXES,
@@ -22,6 +23,8 @@ from cell.study.imports.places import angle_of, body_axis, clamp_angle_rad, cont
 from cell.study.imports.units import RADIANS
 from cell.study.series import wrapped
 
+#: Largest angle of a clamp in a study, rad.
+MOST_RAD = 2.0 * np.pi
 #: Rotation above which the cable's root determines the sign of an angle, rad.
 _MIN_ROTATION = 0.05
 #: Penalties of less usual interpretations of a column, rad: a negative sign, a quarter turn, a unit
@@ -106,6 +109,8 @@ def clamp_angle(
         four = None
     if four is not None and len(axes.up) == len("xyz"):  # one angle is no 3D orientation
         return _section_of_body(capture, four, axes, root, findings)
+    angles = tuple(f for f in inside.angles if not _is_heading(capture, inside, *f))
+    inside = replace(inside, angles=angles)
     if (column := _column(inside, axes, hand)) is not None:
         return _section_of_column(capture, *column, root, findings)
     if (column := _column_like_root(capture, inside, root)) is not None:
@@ -136,13 +141,16 @@ def stated_angle(
 
     root      of the cable at rest
     findings  those about the angle are replaced
-    raises    InputError: a column has the angle, or the cable contradicts the statement
+    raises    InputError: a column of the gripper has the angle, or one with which the cable turns;
+              or the cable contradicts the statement
     """
     if stated_rad is None:
         return hand
     option = f"--clamp-angle states {np.degrees(stated_rad):.1f}°"
-    if hand.angle.constant_rad is None and hand.angle != AngleSection():
-        found = " ".join(f.sentence for f in findings if f.entry == "hand.angle")
+    about = [f for f in findings if f.entry.startswith("hand.angle")]
+    guessed = all(f.sure is Sure.GUESSED for f in about) and not _is_of_gripper(hand)
+    if hand.angle.constant_rad is None and hand.angle != AngleSection() and not guessed:
+        found = " ".join(f.sentence for f in about if f.entry == "hand.angle")
         raise InputError.at(path, f"{option}, but {found}; leave the option out")
     if abs(wrapped(root.rest_rad - stated_rad)) > root.agrees_rad:
         shown, limit = np.degrees([root.rest_rad, root.agrees_rad])
@@ -150,10 +158,18 @@ def stated_angle(
         message += f"{limit:.0f}° apart; 0 = level, positive = tip down: correct the option, or "
         message += "leave it out and check the `axes` of the proposal"
         raise InputError.at(path, message)
-    findings[:] = [f for f in findings if f.entry != "hand.angle"]
+    findings[:] = [f for f in findings if f not in about]
     angle = f"{np.degrees(stated_rad):.2f}°"
     findings.stated("hand.angle", f"the clamp angle is {angle}, constant, as --clamp-angle says")
     return hand.model_copy(update={"angle": AngleSection(constant_rad=stated_rad)})
+
+
+def _is_of_gripper(hand: GripperSection) -> bool:
+    """Whether the angle is in the gripper's own file, or in columns named after it."""
+    angle = hand.angle
+    names = [angle.column or "", *(angle.quaternion or ()), *(angle.towards or ())]
+    words = {word for name in names for word in meaning(CapturedColumn(name)).group.split()}
+    return hand.time is not None or bool(angle.follows or HAND & words)
 
 
 def _is_filler(quaternion: FloatArray, hand: str) -> bool:
@@ -181,6 +197,21 @@ def _offset_clause(offset_rad: float) -> str:
     return f", turned by {degrees:.0f}° as the cable shows at rest" if offset_rad else ""
 
 
+def _is_heading(capture: Capture, inside: Contents, name: str, of: Meaning) -> bool:
+    """Whether the angle of a point not named after a gripper is the direction of its motion: it is
+    undefined before the first step, or turns farther than any clamp."""
+    point = inside.point(of.group)
+    if point is None or point.on_gripper:
+        return False
+    values = capture.column(name)
+    known = values[np.isfinite(values)]
+    if np.isnan(values[0]) and np.isfinite(capture.at(list(point.columns))[0]).all():
+        return True
+    most = float(np.abs(known).max(initial=0.0))
+    turned = known * RADIANS.get(of.unit, 1.0 if most <= MOST_RAD else RADIANS["deg"])
+    return len(known) > 0 and float(np.ptp(continuous(turned))) > MOST_RAD
+
+
 def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] | None:
     """The column of the clamp angle and its unit: the gripper's, about the normal of the plane."""
     own = [(n, m) for n, m in inside.angles if hand and m.group == hand]
@@ -198,13 +229,13 @@ def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] |
 
 def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[str, str] | None:
     """A column of angles of no marker that agrees with the cable's root; None = there is none."""
-    points = {point.name for point in inside.points if not point.on_gripper}
-    for name, meaning in inside.angles:
-        if meaning.group in points or meaning.axis:
+    points = [f"{point.name} " for point in inside.points if not point.on_gripper]
+    for name, of in inside.angles:
+        if of.axis or any(f"{of.group} ".startswith(point) for point in points):
             continue
-        best = min(_readings(capture.column(name), name, meaning.unit, root), key=lambda r: r.cost)
+        best = min(_readings(capture.column(name), name, of.unit, root), key=lambda r: r.cost)
         if best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
-            return name, meaning.unit
+            return name, of.unit
     return None
 
 

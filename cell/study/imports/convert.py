@@ -20,6 +20,7 @@ from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
 from cell.study.imports.capture import Capture
+from cell.study.imports.clamp_angle import MOST_RAD
 from cell.study.imports.contents import with_names
 from cell.study.imports.gripper_path import GripperPath, gripper_path
 from cell.study.imports.gripper_section import TimeSection
@@ -122,7 +123,8 @@ class _ImportedTrial:
     def problem(self, failure: Failure, sentence: str) -> Problem:
         """A problem of a row of the trial."""
         row = int(np.flatnonzero(self.detected)[failure.row or 0])
-        return self.capture.problem(row, sentence, failure.column)
+        column = "time" if failure.column == "t_s" else failure.column
+        return self.capture.problem(row, sentence, column)
 
 
 def _check_trial(
@@ -344,11 +346,13 @@ def _motion(
     if np.count_nonzero(known) < 2:
         raise capture.error(0, "tells the gripper's place and angle in fewer than 2 rows", "hand")
     rows = np.flatnonzero(known)
-    if np.abs(angle_rad[known]).max() > 2.0 * np.pi:
+    if np.abs(angle_rad[known]).max() > MOST_RAD:
         row = int(rows[np.argmax(np.abs(angle_rad[known]))])
         remedy = "give radians_per_unit: 0.0174533 for degrees"
         if hand.angle.column is None or abs(hand.angle.radians_per_unit or 1.0) < _DEGREES:
             remedy = "take whole turns off, of 6.28319 rad each, by offset_rad of hand.angle"
+            if np.ptp(angle_rad[known]) > 2.0 * MOST_RAD:
+                remedy = "it turns too far for a clamp: give constant_rad, or another column"
         raise capture.error(
             row,
             f"is {angle_rad[row]:.4g} rad, limit ±2π; {remedy}",

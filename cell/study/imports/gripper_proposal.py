@@ -13,7 +13,7 @@ from cell.files.words import first_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle
-from cell.study.imports.column_names import Meaning
+from cell.study.imports.column_names import ColumnKind, Meaning, meaning
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.gripper_section import (
     AccelerationSection,
@@ -178,12 +178,21 @@ def gripper_file(capture: Capture) -> GripperFile:
     """The content of a file of the gripper."""
     inside = contents(capture)
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
+    if not named and (only := _only_coordinate(capture, inside)) is not None:
+        named = [only]
     named.sort(key=lambda p: (not _COMMANDED.isdisjoint(p.name.split()), "actual" not in p.name))
     if not named:
         return GripperFile(capture, inside, None, None)
     return GripperFile(
         capture, inside, named[0], _initial_place(detected_places(capture, named[0].columns, ()))
     )
+
+
+def _only_coordinate(capture: Capture, inside: Contents) -> Point | None:
+    """The only length in a file without points, as of a distance sensor; None = not exactly one."""
+    unused = [(c.name, meaning(c)) for c in capture.columns if c.name in inside.unused]
+    lengths = [(n, m) for n, m in unused if m.unit in METRES or m.kind is ColumnKind.COORDINATE]
+    return Point(lengths[0][0], (lengths[0][0],), lengths[0][1].unit) if len(lengths) == 1 else None
 
 
 def _initial_place(places: FloatArray) -> FloatArray | None:
@@ -290,12 +299,15 @@ def section_of_file(
             "that of its axle's encoder in hand.turns, or those of an accelerometer on it in "
             "hand.acceleration",
         )
-        columns = first_of(capture.names, _MAX_LISTED)
-        findings.shown("hand", f"columns of {file}: {columns}")
+        listed = first_of(capture.names, _MAX_LISTED)
+        findings.shown("hand", f"columns of {file}: {listed}")
         return GripperSection(angle=AngleSection(), **of_file)
     findings.guessed("hand", f"{point.name!r} of {file} is the gripping point")
-    own = None
-    if len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
+    own, columns = None, list[str | None](point.columns)
+    if len(columns) == 1:
+        columns, own, sentence = _one_axis(point.name, nearest)
+        findings.guessed("hand.axes", sentence)
+    elif len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
         own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
         findings.guessed("hand.axes", sentence)
     elif nearest is not None and (own := _reversed_axes(axes, nearest)) is not None:
@@ -304,9 +316,7 @@ def section_of_file(
     unit, unit_finding = _unit_of_place(point, scale, nearest)
     findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (time_finding, unit_finding)]
     angle = clamp_angle(capture, inside, own or axes, root, findings, point.name)
-    return GripperSection(
-        columns=list(point.columns), angle=angle, metres_per_unit=unit, axes=own, **of_file
-    )
+    return GripperSection(columns=columns, angle=angle, metres_per_unit=unit, axes=own, **of_file)
 
 
 def _unit_of_place(
@@ -365,6 +375,24 @@ def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | N
         return None
     right, up = np.where(opposite[:, None], -plane, plane) + 0.0
     return AxesSection(right=right.tolist(), up=up.tolist())
+
+
+def _one_axis(
+    name: str, nearest: NearestMarker | None
+) -> tuple[list[str | None], AxesSection, str]:
+    """Columns and axes of a sensor of one coordinate: the nearest marker moves along it."""
+    moves = () if nearest is None else nearest.moves
+    towards = sum((hand[0] * marker for hand, marker in moves), np.zeros(2))
+    axis = int(not abs(towards[0]) > abs(towards[1]))
+    plane = np.eye(2)
+    plane[axis] *= np.sign(towards[axis]) or 1.0
+    columns: list[str | None] = [None, None]
+    columns[axis] = name
+    way = ("right", "up")[axis] + (", reversed" if plane[axis, axis] < 0.0 else "")
+    why = "as the marker next to it moves" if moves else "unless it moves to the side"
+    sentence = f"{name!r} is the gripper's place along {way}, {why}; along null it stays at "
+    sentence += "hand.origin_m"
+    return columns, AxesSection(right=plane[0].tolist(), up=plane[1].tolist()), sentence
 
 
 def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:

@@ -143,6 +143,12 @@ class Mapping(SectionPart):
     markers: Annotated[list[MarkerEntry], Field(min_length=1)]
     trials: Annotated[list[TrialEntry], Field(min_length=1)]
 
+    @property
+    def is_to_scale(self) -> bool:
+        """Whether times, lengths and the gripper's path are known: else no trial shows oddities."""
+        units = [s.seconds_per_unit for s in (self.time, self.hand.time) if s is not None]
+        return None not in (*units, self.metres_per_unit) and not self.hand.unfinished
+
     def of_trial(self, trial: TrialEntry) -> Mapping:
         """The mapping for one trial, with the entries that it overrides."""
         time = _with_time_unit(self.time, trial.seconds_per_unit)

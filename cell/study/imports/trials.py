@@ -209,7 +209,8 @@ def _start_and_clock(
         axis=1,
     )
     offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
-    if mapping.hand.columns is not None or mapping.hand.fixed_m is not None:
+    is_timed = (mapping.hand.time or mapping.time).seconds_per_unit is not None
+    if is_timed and (mapping.hand.columns is not None or mapping.hand.fixed_m is not None):
         hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
         zone_s = _zone_s(name, hand_s, t_s, findings)
         hand_s = hand_s + zone_s
@@ -363,7 +364,8 @@ def _start(
         sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
         findings.shown("trials.start", sentence)
         return {"start": "equilibrium"}
-    sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper does not: let go (start "
+    gripper = f"only at {moves_s:.3g} s" if moved.any() else "does not"
+    sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper {gripper}: let go (start "
     findings.guessed("trials.start", f"{sentence}held)")
     return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}
 

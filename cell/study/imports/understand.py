@@ -347,7 +347,9 @@ def _with_origin(
         return hand
     start_m, length_m = curve(0.0), float(curve.x[-1])
     own_axes, unit = hand.axes or axes, hand.metres_per_unit or scale
-    hand_m = np.array([own_axes.right, own_axes.up]) @ gripper.initial * unit
+    initial = np.zeros(len(hand.columns))
+    initial[[column is not None for column in hand.columns]] = gripper.initial
+    hand_m = np.array([own_axes.right, own_axes.up]) @ initial * unit
     origin_m = start_m - hand_m
     if float(np.hypot(*origin_m)) < _SAME_FRAME * length_m:
         return hand

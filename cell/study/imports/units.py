@@ -26,6 +26,8 @@ _KNOWN = {*METRES, *SECONDS, *RADIANS, *_OTHERS}
 _AT_END = re.compile(
     r"^(.*?)(?:\s*[\(\[{]\s*([^\(\)\[\]{}]+?)\s*[\)\]}]|(?:[\s_/]|\bin\s)([^\s_/]+))$"
 )
+#: In brackets before the number of a run: `Position (m) Run #1`.
+_WITHIN = re.compile(r"^(.+?)\s*[\(\[]([^\(\)\[\]]+)[\)\]](\s+\S.*)$")
 
 
 def unit_of(text: str) -> str:
@@ -43,6 +45,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
     `tip_x_mm`, `tip x [mm]` and `tip x (Millimeters)` are all tip x in mm.
     """
+    if (match := _WITHIN.match(name.strip())) and unit_of(match[2]):
+        name = f"{match[1]}{match[3]} [{match[2]}]"
     match = _AT_END.match(name.strip())
     if match is None:
         return name.strip(), ""

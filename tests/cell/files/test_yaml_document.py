@@ -8,10 +8,20 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field
 
 from cell.files.input_error import InputError
-from cell.files.yaml_document import MAX_BYTES, MAX_PROBLEMS, read_yaml, validate, yaml_text
+from cell.files.yaml_document import (
+    MAX_BYTES,
+    MAX_PROBLEMS,
+    document_of,
+    read_yaml,
+    validate,
+    yaml_text,
+)
 
 
 class Inside(BaseModel):
@@ -118,6 +128,14 @@ def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
     read = read_yaml(path).data
     assert read == data
     assert list(read) == list(data)
+
+
+@given(st.floats(allow_nan=False), st.booleans())
+def test_a_number_is_one_to_every_reader(value: float, inline: bool) -> None:
+    """1e-05 is a text by YAML 1.1."""
+    text = yaml_text({"a": value, "b": [value, "1e-05"]}, inline=inline)
+    wanted = {"a": value, "b": [value, "1e-05"]}
+    assert yaml.safe_load(text) == document_of(text, Path("a.yaml")).data == wanted
 
 
 class Titled(BaseModel):

@@ -304,3 +304,36 @@ def test_an_angle_that_the_cable_or_a_column_contradicts_is_refused() -> None:
     columns["hand angle_deg"] = np.degrees(m.angle_rad) + np.degrees(noise(1))
     with pytest.raises(InputError, match="but the clamp angle is column 'hand angle_deg' in deg"):
         understood(captured("a.csv", **columns), angle_rad=0.5)
+
+
+def headings_of(m: Swing) -> dict[str, np.ndarray]:
+    """Directions in which the markers move, degrees, as trackers list them for every track."""
+    places_m = np.concatenate([m.gripper_m[:, None], m.markers_m], axis=1)
+    places_m = places_m + np.random.default_rng(1).normal(0.0, NOISE_M, places_m.shape)
+    steps_m = np.diff(places_m, axis=0)
+    angle = np.degrees(np.arctan2(steps_m[..., 1], steps_m[..., 0]))
+    angle = np.concatenate([np.full((1, angle.shape[1]), np.nan), angle])
+    columns = {}
+    for i in range(len(ARCS_M) + 1):
+        columns |= {f"marker {i} {a}": places_m[:, i, k] * 1e3 for k, a in enumerate("xy")}
+        columns[f"marker {i} angle [deg]"] = angle[:, i]
+    return columns
+
+
+@pytest.mark.parametrize("stated_rad", [None, 0.0])
+@pytest.mark.parametrize("first_row", [True, False])
+def test_a_direction_of_motion_is_no_clamp_angle(stated_rad: float | None, first_row: bool) -> None:
+    """It was taken for it, and a stated angle was refused for it."""
+    columns = headings_of(trial(np.zeros(len(T_S))))
+    columns = {n: v if first_row else v[1:] for n, v in columns.items()}
+    angle = understood(captured("a.csv", **columns), angle_rad=stated_rad).mapping.hand.angle
+    assert angle.constant_rad == pytest.approx(0.0, abs=0.0 if stated_rad == 0.0 else 0.05)
+
+
+def test_a_stated_angle_outranks_a_column_that_is_only_guessed() -> None:
+    m = trial(np.zeros(len(T_S)))
+    columns = hand_of(m) | {"angle [deg]": np.degrees(noise(1) + 0.1)} | markers_of(m)
+    assert understood(captured("a.csv", **columns)).mapping.hand.angle.column == "angle [deg]"
+    found = understood(captured("a.csv", **columns), angle_rad=0.0)
+    assert found.mapping.hand.angle.constant_rad == 0.0
+    assert "angle [deg]" in " ".join(said(found, "unused"))

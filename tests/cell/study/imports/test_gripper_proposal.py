@@ -287,3 +287,43 @@ def test_without_a_hand_its_sensors_are_asked_for(tmp_path: Path) -> None:
     assert "columns of robot.csv: time_s, voltage" in said
     refused = run(str(study / "import.yaml"), code=2)  # it is there, to be filled in
     assert "give one of: columns of the gripping point" in refused
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "way_m"),
+    [
+        ("Position (m) Run #1", 1.0, (0.0, -0.05)),
+        ("distance [mm]", -1e3, (0.0, -0.05)),
+        ("Laser x [mm]", -1e3, (0.06, 0.0)),
+    ],
+)
+def test_a_sensor_of_one_coordinate_is_a_hand_with_clock_origin_and_axes(
+    name: str, scale: float, way_m: tuple[float, float], tmp_path: Path
+) -> None:
+    """Its columns were asked for, and then nothing else was proposed."""
+    t = np.arange(0.0, 1.8, 1.0 / RATE_HZ)
+    hand_m = stroke(t)[:, None] * np.array(way_m)
+    m = swing("one", hand_m, np.zeros(len(t)), 1, t, NOISE_M)
+    file = wide(m, {}, tmp_path / "trial.csv")
+    along = int(way_m[0] == 0.0)
+    shown = 0.8 * abs(scale) + scale * hand_m[:, along]
+    rows = np.column_stack([t + 0.3, shown, 0.0 * t])
+    header = ["Time (s) Run #1", name, "Velocity (m/s) Run #1"]
+    log = saved(tmp_path / "sensor.csv", text([header, *digits(rows, 6)]))
+    said = run(file, "--hand", log, "--clamp-angle", "0", "-o", tmp_path / "s", *CABLE)
+    assert f"{name!r} is the gripper's place along {('right', 'up')[along]}" in said
+    run(tmp_path / "s" / "import.yaml")
+    t_s, xy_m, _ = hand_of(read_study(tmp_path / "s"))
+    np.testing.assert_allclose(t_s, m.t_s, atol=0.01)
+    moved_m = xy_m - xy_m[0] + m.gripper_m[0]
+    np.testing.assert_allclose(moved_m, m.gripper_m, atol=2e-6)
+    np.testing.assert_allclose(xy_m[0], m.gripper_m[0], atol=1e-3)
+
+
+def test_of_two_lengths_none_is_chosen(tmp_path: Path) -> None:
+    m, _, _, _ = straight()
+    file = wide(m, {}, tmp_path / "trial.csv")
+    rows = np.column_stack([m.t_s, m.gripper_m])
+    log = saved(tmp_path / "s.csv", text([["t [s]", "left [m]", "top [m]"], *digits(rows, 6)]))
+    said = run(file, "--hand", log, "-o", tmp_path / "s", *CABLE, code=1)
+    assert "no place of the gripper is known in s.csv: name two columns of it" in said

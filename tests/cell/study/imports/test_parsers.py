@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import NOT_SEEN, CapturedColumn, number
+from cell.study.imports.capture import NOT_SEEN, CapturedColumn, is_clock, number
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.read import KINDS, read_capture
@@ -61,6 +61,22 @@ def test_times_of_day_and_dates_become_seconds() -> None:
     first, second = (number(f"2024-05-01T12:00:0{k}Z", ".") for k in (1, 2))
     assert first is not None and second is not None
     assert second - first == 1.0
+
+
+@pytest.mark.parametrize(
+    ("written", "iso"),
+    [
+        ("30-Nov-2026 14:12:33.250", "2026-11-30 14:12:33.25"),
+        ("05-Mrz-2026 00:00:01", "2026-03-05 00:00:01"),
+        ("05-DEZ-2026 00:00:01,5", "2026-12-05 00:00:01.5"),
+        ("14-févr.-2026 07:08:09", "2026-02-14 07:08:09"),
+    ],
+)
+def test_a_month_may_be_a_word(written: str, iso: str) -> None:
+    """MATLAB writes dates so; a file of them was read as one without times."""
+    assert number(written, ".") == number(iso, ".") is not None
+    assert is_clock(written) and not is_clock("30-Nix-2026 14:12:33")
+    assert number("31-Feb-2026 14:12:33", ".") is None
 
 
 @settings(max_examples=60)
@@ -156,6 +172,11 @@ def test_any_table_of_words_and_numbers_is_read_or_refused(
 @pytest.mark.parametrize("form", ["{} [{}]", "{} ({})", "{}_{}", "{} {}", "{}/{}"])
 def test_a_unit_is_taken_off_a_name(unit: str, form: str) -> None:
     assert split_unit(form.format("tip_x", unit)) == ("tip_x", unit)
+
+
+def test_a_unit_may_stand_before_the_number_of_a_run() -> None:
+    assert split_unit("Position (m) Run #1") == ("Position Run #1", "m")
+    assert split_unit("Track (new) no 1") == ("Track (new) no 1", "")
 
 
 @pytest.mark.parametrize(

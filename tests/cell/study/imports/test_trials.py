@@ -13,7 +13,7 @@ from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mapping import read_mapping
 from tests.cell.study.imports.corpus.swing import RATE_HZ
 from tests.cell.study.imports.corpus.text import nexus
-from tests.cell.study.imports.made import CABLE, made, run, two_files, wide_metres
+from tests.cell.study.imports.made import CABLE, digits, made, run, text, two_files, wide_metres
 
 
 def in_folder(folder: Path, name: str) -> Path:
@@ -101,3 +101,50 @@ def test_a_table_of_another_form_than_is_said_is_refused_for_this(tmp_path: Path
     said = run(str(mapping), code=2)
     assert "it seems to be one between ';' with ','" in said
     assert "text: {separator: ';', decimal: ','}" in said
+
+
+def counted_rows(folder: Path, early_rows: int = 0) -> list[str]:
+    """Markers at 200 rows a second, and a gripper whose file has no time and begins earlier."""
+    m = made()
+    markers, hand, *_ = two_files(m, folder)[::2]
+    places = np.concatenate([np.repeat(m.gripper_m[:1], early_rows, axis=0), m.gripper_m])
+    rows = [["TCP x [m]", "TCP y [m]"], *digits(places, 7)]
+    Path(hand).write_text(text(rows))
+    return [markers, "--hand", hand, "--rate", "200"]
+
+
+def test_the_beginning_is_not_guessed_before_the_hand_s_times_are_known(tmp_path: Path) -> None:
+    """The gripper rested for as many seconds as it had rows: the cable was said to be let go."""
+    said = run(*counted_rows(tmp_path), "-o", tmp_path / "s", *CABLE, code=1)
+    assert "let go" not in said and "Odd:" not in said
+    assert "whether both clocks agree is not known before the gripper's path is" in said
+    mapping = tmp_path / "s" / "import.yaml"
+    written = mapping.read_text()
+    mapping.write_text(written.replace("seconds_per_unit: null", "seconds_per_unit: 0.005"))
+    assert "let go" not in run(mapping)
+    assert read_study(tmp_path / "s").trials[0].start == "equilibrium"
+    held = "start: held, release_s: 0.4,"
+    mapping.write_text(mapping.read_text().replace("start: equilibrium,", held))
+    said = run(mapping, "--force")
+    assert "let go at 0.4 s, yet its gripper moves by 51 mm from 0.4" in said
+    (note,) = read_study(tmp_path / "s").notes
+    assert "yet its gripper moves by 51 mm" in note
+
+
+@pytest.mark.parametrize(("early_rows", "word"), [(80, "subtract 0.4 s from"), (0, "add this to")])
+def test_clocks_that_differ_are_refused_by_the_mapping_s_entries(
+    early_rows: int, word: str, tmp_path: Path
+) -> None:
+    """It was a note, of a file that the study does not have yet."""
+    run(*counted_rows(tmp_path, early_rows), "-o", tmp_path / "s", *CABLE, code=1)
+    mapping = tmp_path / "s" / "import.yaml"
+    written = mapping.read_text().replace("seconds_per_unit: null", "seconds_per_unit: 0.005")
+    if not early_rows:
+        written = written.replace("role: fit,", "role: fit, clock_offset_s: -0.35,")
+    mapping.write_text(written)
+    said = run(mapping, code=2)
+    assert f"{word} clock_offset_s of the trial" in said
+    assert "markers.csv" not in said.replace(f"{tmp_path}/markers.csv", "")
+    if early_rows:
+        mapping.write_text(written.replace("role: fit,", "role: fit, clock_offset_s: -0.4,"))
+        run(mapping)
