@@ -94,11 +94,17 @@ def _is_value(cell: str, decimal: Decimal) -> bool:
 
 
 def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
-    """A serial monitor's text without the times of reception before its lines; and a note."""
+    """A serial monitor's text without the times of reception before its lines; and a note.
+
+    Times that are the first column between tabs have a name in a line above them.
+    """
     lines = text.splitlines()
     filled = [line for line in lines if line.strip()]
-    count = sum(_RECEIVED.match(line) is not None for line in filled)
-    if not filled or count < _MIN_RECEIVED * len(filled):
+    stamps = [(line, m[0]) for line in filled if (m := _RECEIVED.match(line)) is not None]
+    if not stamps or len(stamps) < _MIN_RECEIVED * len(filled):
+        return text, []
+    widths = {line.count("\t") for line in filled if not _RECEIVED.match(line)}
+    if stamps[0][1].endswith("\t") and stamps[0][0].count("\t") in widths:
         return text, []
     note = f"{path}: the time at which a line was received stands before it; it is not read"
     return "\n".join(_RECEIVED.sub("", line) for line in lines), [note]

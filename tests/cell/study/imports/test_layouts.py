@@ -172,6 +172,16 @@ def test_a_document_of_lists_with_times_of_their_own_is_one_motion(tmp_path: Pat
     check_same(imported([str(file)], tmp_path / "study"), m)
 
 
+def test_times_of_day_between_tabs_are_a_column(tmp_path: Path) -> None:
+    m = made()
+    stamps = [f"14:02:{59 + t:06.3f}" if t < 1.0 else f"14:03:{t - 1.0:06.3f}" for t in m.t_s]
+    values = digits(places(m).reshape(len(m.t_s), -1), 9)
+    names = ["Time", *(f"{p} {a} [m]" for p in POINTS for a in "XY")]
+    rows = [[stamp, *row] for stamp, row in zip(stamps, values, strict=True)]
+    file = saved(tmp_path / "log.txt", "a title\n\n" + text([names, *rows], "\t"))
+    check_same(imported([str(file)], tmp_path / "s"), m, angle_rad=2.0 * np.pi, time_s=1e-3)
+
+
 def test_documents_of_yaml_one_after_another_are_records(tmp_path: Path) -> None:
     """As ROS prints messages."""
     m, file = made(), tmp_path / "poses.yaml"
