@@ -49,8 +49,15 @@ def with_part(path: Path, part: str) -> Path:
 
 
 def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
-    """Groups that hold a series of times."""
-    return list(dict.fromkeys(key[:-1] for key in _times(tree)))
+    """Groups that hold a series of times; without any, groups alike with places of several points."""
+    if times := _times(tree):
+        return list(dict.fromkeys(key[:-1] for key in times))
+    names: dict[tuple[str, ...], set[str]] = {}
+    for key in tree:
+        names.setdefault(key[:-1], set()).add(key[-1])
+    of_points = dict.fromkeys(key[:-1] for key, values in tree.items() if values.ndim == 3)
+    alike = [g for g in of_points if sum(names[g] == names[other] for other in of_points) > 1]
+    return alike if len(alike) == len(of_points) else []
 
 
 def _times(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:

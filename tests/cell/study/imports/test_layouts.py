@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from zipfile import ZipFile
 
+import h5py
 import numpy as np
 import pytest
 from openpyxl import Workbook
@@ -180,6 +181,24 @@ def test_times_of_day_between_tabs_are_a_column(tmp_path: Path) -> None:
     rows = [[stamp, *row] for stamp, row in zip(stamps, values, strict=True)]
     file = saved(tmp_path / "log.txt", "a title\n\n" + text([names, *rows], "\t"))
     check_same(imported([str(file)], tmp_path / "s"), m, angle_rad=2.0 * np.pi, time_s=1e-3)
+
+
+def test_groups_alike_without_times_are_trials(tmp_path: Path) -> None:
+    takes, file = (made(1), made(2)), tmp_path / "takes.h5"
+    with h5py.File(file, "w") as store:
+        for k, m in enumerate(takes):
+            group = store.create_group(f"trial_{k}")
+            group.attrs["fps"], group.attrs["units"] = 200.0, "m"
+            rows = len(m.t_s) - 10 * k
+            group["gripper_position"] = upright(m.gripper_m)[:rows]
+            group["markers"] = upright(m.markers_m)[:rows]
+    study = imported([str(file)], tmp_path / "study")
+    assert [t.name for t in study.trials] == ["trial_0", "trial_1"]
+    for trial, m in zip(study.trials, takes, strict=True):
+        assert trial.markers.xy_m.shape[1] == len(NAMES)
+        np.testing.assert_allclose(
+            np.ptp(trial.markers.xy_m[:, 0], axis=0), np.ptp(m.markers_m[:, -1], axis=0), atol=1e-4
+        )
 
 
 def test_documents_of_yaml_one_after_another_are_records(tmp_path: Path) -> None:
