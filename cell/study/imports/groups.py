@@ -49,7 +49,7 @@ def with_part(path: Path, part: str) -> Path:
 
 
 def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
-    """Groups that hold a series of times; without any, groups alike with places of several points."""
+    """Groups that hold a series of times; without any, groups alike with several points."""
     if times := _times(tree):
         return list(dict.fromkeys(key[:-1] for key in times))
     names: dict[tuple[str, ...], set[str]] = {}

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.words import first_of
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import HAND, contents
@@ -190,8 +191,11 @@ def time_column(capture: Capture) -> int | None:
 
 
 def _without_text(capture: Capture, names: Sequence[str]) -> Capture:
-    skipped = [f"{capture.path}: column {n!r} holds words; it is not read" for n in names]
-    return replace(capture, notes=(*capture.notes, *skipped))
+    if not names:
+        return capture
+    listed = first_of([repr(name) for name in names], 8)
+    note = f"{capture.path}: columns that hold words are not read: {listed}"
+    return replace(capture, notes=(*capture.notes, note))
 
 
 def _wide(capture: Capture, time: int, words: Sequence[str], keys: frozenset[int]) -> Capture:
