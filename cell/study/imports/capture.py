@@ -215,6 +215,7 @@ class Capture:
     rate_hz  rows a second that the file states; None = it states none
     unit     of length that the file states for all its columns; empty = none
     pixel_m  length of a pixel, m, that the file states; None = it states none
+    order    of rotations about axes, such as XYZ, that the file states; empty = it states none
     form     of a text; None = the file is no text
     notes    remarks on what was not read, one sentence each
     of_cable  properties of the cable that the file states, by their names in a study
@@ -231,6 +232,7 @@ class Capture:
     of_cable: tuple[tuple[str, float], ...] = ()
     counted: str = field(default="line", compare=False)
     pixel_m: float | None = None
+    order: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ _RATE = re.compile(r"(?:export |data |camera |capture )?(?:frame ?rate|rate|freq
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
 #: Maximum number of characters of an unknown unit.
 _LONGEST_UNIT = 4
+_ORDER_KEY = re.compile(r"(?:rotation|euler)\b.*")
 _MARKER_NAMES = re.compile(r"marker_?names")
 
 
@@ -31,12 +32,14 @@ class Header:
     """Columns of a table, and metadata that apply to all of them.
 
     pixel_m  length of a pixel, m; None = it is not stated
+    order    of rotations about axes, such as XYZ; empty = it is not stated
     """
 
     columns: tuple[CapturedColumn, ...]
     rate_hz: float | None
     unit: str
     pixel_m: float | None = None
+    order: str = ""
 
 
 def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
@@ -72,6 +75,7 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
         rate_hz,
         unit,
         stated_pixel_m(path, rows),
+        _stated_order(rows),
     )
 
 
@@ -240,6 +244,16 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
                 unit = unit_of(value)
     in_remarks, its_unit = stated_in_remarks(rows)
     return rate_hz or in_remarks or _rate_below_title(rows), unit or its_unit
+
+
+def _stated_order(rows: Lines) -> str:
+    """Order of rotations that a remark states, such as Motive's `Rotation Type,XYZ`."""
+    for _, cells in rows:
+        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
+        for key, value in pairwise(words):
+            if _ORDER_KEY.fullmatch(key.lower()) and sorted(value.upper()) == ["X", "Y", "Z"]:
+                return value.upper()
+    return ""
 
 
 def _rate_below_title(rows: Lines) -> float | None:
