@@ -229,6 +229,7 @@ class Capture:
     unit     of length that the file states for all its columns; empty = none
     pixel_m  length of a pixel, m, that the file states; None = it states none
     stated_time  of all rows, by a remark above them, and its unit; None = there is none
+    order    of rotations about axes, such as XYZ, that the file states; empty = it states none
     form     of a text; None = the file is no text
     notes    remarks on what was not read, one sentence each
     of_cable  properties of the cable that the file states, by their names in a study
@@ -246,6 +247,7 @@ class Capture:
     counted: str = field(default="line", compare=False)
     pixel_m: float | None = None
     stated_time: tuple[float, str] | None = None
+    order: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
@@ -15,13 +17,14 @@ from cell.study.imports.column_names import Meaning, meaning
 from cell.study.imports.contents import HAND, Contents, Point
 from cell.study.imports.gripper_section import (
     BODY_AXES,
+    ORDERS,
     AngleSection,
     AxesSection,
     GripperSection,
 )
-from cell.study.imports.places import angle_of, body_axis, clamp_angle_rad, continuous
+from cell.study.imports.places import body_axis, clamp_angle_rad, continuous, orientation
 from cell.study.imports.units import RADIANS
-from cell.study.series import wrapped
+from cell.study.series import noise_m, wrapped
 
 #: Largest angle of a clamp in a study, rad.
 MOST_RAD = 2.0 * np.pi
@@ -32,9 +35,14 @@ _MIN_ROTATION = 0.05
 _SIGN_COST, _QUARTER_COST, _UNIT_COST = 0.02, 0.3, 0.05
 #: Largest difference at rest between the root and a correct angle, rad; else an offset is needed.
 _TOLERANCE = 0.35
-#: Relative difference between the rotations of body and root: above the first the quaternion's
-#: order is wrong, below the second it is correct.
-_WRONG_ORDER, _RIGHT_ORDER = 0.8, 0.4
+#: Accuracy of the root at rest by a curve, rad.
+_CURVE_STD = 0.0125
+#: Number of medians of a trial by which two rotations are compared, and the difference of their
+#: ratio from 1 that the cable's bending at its root may cause.
+_BLOCKS, _RATIO_TOL = 50, 0.05
+#: Out-of-plane rotations of a body in two interpretations are alike up to this ratio, or so small,
+#: rad.
+_ALIKE, _SMALL_TILT = 1.2, 1e-3
 #: An unnamed angle is the clamp's if it is within this of the root at rest, rad.
 _SAME_AT_REST = 0.1
 #: As _TOLERANCE, for a root estimated by the line to a single marker, from which a cable droops.
@@ -48,18 +56,33 @@ class Root:
     angle_rad  (rows,) of the markers' file, approximate during motion
     rest_rad   at rest
     is_line    estimated by the line to the only marker, from which a drooping cable departs
+    error_rad  estimated error of `rest_rad`, for its few points
     others     of the other trials: the file with the gripper, and `rest_rad`
     """
 
     angle_rad: FloatArray
     rest_rad: float
     is_line: bool = False
+    error_rad: float = 0.0
     others: tuple[tuple[Capture, float], ...] = ()
 
     @property
     def agrees_rad(self) -> float:
         """Largest difference at rest between the root and a correct angle."""
         return _LINE_TOLERANCE if self.is_line else _TOLERANCE
+
+    @property
+    def std_rad(self) -> float:
+        """Accuracy at rest."""
+        return _LINE_TOLERANCE if self.is_line else max(_CURVE_STD, self.error_rad)
+
+    def offset_rad(self, shown_rad: float) -> float:
+        """Angle from a direction of the gripper to the cable at rest; 0 or π if that may be."""
+        offset = wrapped(self.rest_rad - shown_rad)
+        for exact in (0.0, float(np.pi)):
+            if abs(wrapped(offset - exact)) < self.std_rad:
+                return exact
+        return float(round(offset, 4))
 
 
 @dataclass(frozen=True)
@@ -108,9 +131,11 @@ def clamp_angle(
     if four is not None and _is_filler(capture.at(list(four)), hand):
         four = None
     if four is not None and len(axes.up) == len("xyz"):  # one angle is no 3D orientation
-        return _section_of_body(capture, four, axes, root, findings)
+        return _section_of_four(capture, four, axes, root, findings)
     angles = tuple(f for f in inside.angles if not _is_heading(capture, inside, *f))
     inside = replace(inside, angles=angles)
+    if section := _section_of_three(capture, inside, axes, root, findings, hand):
+        return section
     if (column := _column(inside, axes, hand)) is not None:
         return _section_of_column(capture, *column, root, findings)
     if (column := _column_like_root(capture, inside, root)) is not None:
@@ -119,7 +144,7 @@ def clamp_angle(
         findings.guessed("hand.angle", sentence)
         return section
     if four is not None:
-        return _section_of_body(capture, four, axes, root, findings)
+        return _section_of_four(capture, four, axes, root, findings)
     if second is not None:
         return _section_of_line(*second, root, hand, findings)
     angle = round(root.rest_rad, 4) + 0.0
@@ -167,7 +192,8 @@ def stated_angle(
 def _is_of_gripper(hand: GripperSection) -> bool:
     """Whether the angle is in the gripper's own file, or in columns named after it."""
     angle = hand.angle
-    names = [angle.column or "", *(angle.quaternion or ()), *(angle.towards or ())]
+    turning = (angle.quaternion, angle.rotation, angle.towards)
+    names = [angle.column or "", *(name for columns in turning for name in columns or ())]
     words = {word for name in names for word in meaning(CapturedColumn(name)).group.split()}
     return hand.time is not None or bool(angle.follows or HAND & words)
 
@@ -182,10 +208,7 @@ def _section_of_line(
     second: Point, shown_rad: float, root: Root, hand: str, findings: ImportFindings
 ) -> AngleSection:
     """The line between two points of the gripper, along the cable or against it."""
-    offset = wrapped(root.rest_rad - shown_rad)
-    offset = 0.0 if abs(offset) < root.agrees_rad else offset
-    if abs(abs(offset) - np.pi) < _TOLERANCE:
-        offset = float(np.pi)
+    offset = root.offset_rad(shown_rad)
     sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
     findings.guessed("hand.angle", sentence + _offset_clause(offset))
     return AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
@@ -194,7 +217,7 @@ def _section_of_line(
 def _offset_clause(offset_rad: float) -> str:
     """End of a sentence about an offset; empty without one."""
     degrees = np.degrees(offset_rad)
-    return f", turned by {degrees:.0f}° as the cable shows at rest" if offset_rad else ""
+    return f", turned by {degrees:.1f}° as the cable shows at rest" if offset_rad else ""
 
 
 def _is_heading(capture: Capture, inside: Contents, name: str, of: Meaning) -> bool:
@@ -212,39 +235,55 @@ def _is_heading(capture: Capture, inside: Contents, name: str, of: Meaning) -> b
     return len(known) > 0 and float(np.ptp(continuous(turned))) > MOST_RAD
 
 
-def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, str] | None:
-    """The column of the clamp angle and its unit: the gripper's, about the normal of the plane."""
+def _angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]:
+    """Columns of angles of the gripper, else those of no point."""
     own = [(n, m) for n, m in inside.angles if hand and m.group == hand]
     of_hand = [(n, m) for n, m in inside.angles if HAND.intersection(m.group.split())]
-    chosen = own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
+    return own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
+
+
+def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, Meaning] | None:
+    """The column of the clamp angle: the gripper's, about the normal of the plane."""
+    chosen = _angles_of_gripper(inside, hand)
     if not chosen:
         return None
     if len(axes.up) == 3 and len(chosen) > 1:
         normal = np.abs(np.cross(axes.right, axes.up))
         letter = "xyz"[int(np.argmax(normal))]
         chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
-    name, meaning = chosen[0]
-    return name, meaning.unit
+    return chosen[0]
 
 
-def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[str, str] | None:
+def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[str, Meaning] | None:
     """A column of angles of no marker that agrees with the cable's root; None = there is none."""
     points = [f"{point.name} " for point in inside.points if not point.on_gripper]
     for name, of in inside.angles:
         if of.axis or any(f"{of.group} ".startswith(point) for point in points):
             continue
-        best = min(_readings(capture.column(name), name, of.unit, root), key=lambda r: r.cost)
-        if best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
-            return name, of.unit
+        readings = _readings(capture.column(name), name, of.unit, root)
+        best = min(readings, key=lambda r: r.cost, default=None)
+        if best and best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
+            return name, of
     return None
 
 
 def _section_of_column(
-    capture: Capture, name: str, unit: str, root: Root, findings: ImportFindings
+    capture: Capture, name: str, meaning: Meaning, root: Root, findings: ImportFindings
 ) -> AngleSection:
-    """Section of a column of angles; unit, sign and zero are estimated from the cable's root."""
-    values = capture.column(name)
-    best = min(_readings(values, name, unit, root), key=lambda reading: reading.cost)
+    """Section of a column of angles; unit, sign and zero are estimated from the cable's root.
+
+    If the root turns otherwise, an angle about an axis is none of the clamp's; one without an axis
+    is taken as it is called, to be checked.
+    """
+    values, unit = capture.column(name), meaning.unit
+    readings = _readings(values, name, unit, root)
+    if not readings and meaning.axis:
+        return _no_angle(name, findings)
+    if not readings:
+        readings = _readings(values, name, unit, replace(root, angle_rad=np.empty(0), others=()))
+        sentence = f"the cable's root does not turn by as much as {name!r}: check both"
+        findings.guessed("hand.angle", sentence)
+    best = min(readings, key=lambda reading: reading.cost)
     word, sign, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     needs_offset = best.off_rad > root.agrees_rad
     all_values = [values, *_in_other_trials(name, root)]
@@ -279,14 +318,15 @@ def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_Rea
         if word == "rad" and unit not in RADIANS and largest > 2.0 * np.pi:
             continue
         turned = [continuous(v * RADIANS[word]) for v in all_values]
-        rests_rad = np.array([np.nanmedian(v[: max(1, len(v) // 20)]) for v in turned])
-        root_sign = _sign(turned[0], root.angle_rad) or _sign(rests_rad, np.unwrap(roots_rad))
-        for sign in (1.0, -1.0) if root_sign == 0.0 else (root_sign,):
+        rests_rad = np.array([np.nanmedian(v[: _first(v)]) for v in turned])
+        signs = _signs(turned[0], root.angle_rad, root)
+        signs = _signs(rests_rad, np.unwrap(roots_rad), root) if len(signs) == 2 else signs
+        for sign in signs:
             for quarters in (0, -1, 1, 2):
                 apart_rad = sign * rests_rad + quarters * np.pi / 2.0 - roots_rad
                 off_rad = float(np.mean([abs(wrapped(a)) for a in apart_rad]))
                 rest_rad = float(rests_rad[0])
-                readings.append(_Reading(word, sign, root_sign != 0.0, quarters, rest_rad, off_rad))
+                readings.append(_Reading(word, sign, len(signs) == 1, quarters, rest_rad, off_rad))
     return readings
 
 
@@ -295,66 +335,159 @@ def _in_other_trials(name: str, root: Root) -> list[FloatArray]:
     return [c.column(name) for c, _ in root.others if name in c.names]
 
 
-def _sign(values: FloatArray, shown_rad: FloatArray) -> float:
-    """Sign of the correlation of a column of angles with the cable's root; 0 = undetermined."""
-    if len(values) != len(shown_rad):
-        return 0.0
-    good = np.isfinite(values) & np.isfinite(shown_rad)
-    turned, shown = values[good], shown_rad[good]
-    if len(turned) < 2 or min(np.ptp(turned), np.ptp(shown)) < _MIN_ROTATION:
-        return 0.0
-    turned = turned - turned.mean()
-    slope = float(turned @ (shown - shown.mean()))
-    size = float(np.linalg.norm(turned) * np.linalg.norm(shown - shown.mean()))
-    return float(np.sign(slope)) if abs(slope) > 0.5 * size else 0.0
+def _signs(values: FloatArray | None, shown_rad: FloatArray, root: Root) -> tuple[float, ...]:
+    """Signs with which an angle turns as the cable's root; both if that is undetermined.
+
+    The ratio of their turns is ±1 within its uncertainty: an angle that is merely correlated with
+    the clamp's has another one.
+    """
+    if values is None or len(values) != len(shown_rad):
+        return 1.0, -1.0
+    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(shown_rad))
+    if len(rows) < 2:
+        return 1.0, -1.0
+    blocks = np.array_split(rows, min(_BLOCKS, len(rows)))
+    x, y = (np.array([np.median(v[block]) for block in blocks]) for v in (values, shown_rad))
+    if min(np.ptp(x), np.ptp(y)) < _MIN_ROTATION:
+        return 1.0, -1.0
+    x, y = x - x.mean(), y - y.mean()
+    ratio = float(x @ y / (x @ x))
+    variance = float(np.sum((y - ratio * x) ** 2) + root.std_rad**2) / max(1, len(x) - 2)
+    limit = max(_RATIO_TOL, 3.0 * float(np.sqrt(variance / (x @ x))))
+    return tuple(sign for sign in (1.0, -1.0) if abs(ratio - sign) <= limit)
+
+
+def _no_angle(name: str, findings: ImportFindings) -> AngleSection:
+    """The section that the user must fill in, for the cable's root turns otherwise."""
+    sentence = f"{name!r} does not turn by as much as the cable's root: it is not the clamp angle; "
+    findings.missing("hand.angle", f"{sentence}give hand.angle, or --clamp-angle")
+    return AngleSection()
+
+
+#: Names of a rotation vector, and of turns about fixed axes x, y, z.
+_VECTOR = re.compile(r"(?<![a-z])r[_ ]?[xyz](?![a-z])")
+_ROLL = re.compile("roll|pitch|yaw")
+
+
+def _section_of_three(
+    capture: Capture,
+    inside: Contents,
+    axes: AxesSection,
+    root: Root,
+    findings: ImportFindings,
+    hand: str,
+) -> AngleSection | None:
+    """Section of three angles of the gripper about x, y and z; None = there are not three, or in no
+    order the gripper turns as the cable's root.
+
+    The order is the stated one, else the usual one of such names, unless only in another one the
+    gripper turns in the plane.
+    source  Vicon Tracker, Universal Robots: RX, RY, RZ are a rotation vector; ROS REP 103: roll,
+            pitch, yaw are about fixed axes
+    """
+    found = _angles_of_gripper(inside, hand)
+    chosen = {m.axis: (n, m.unit) for n, m in reversed(found) if m.group == found[0][1].group}
+    if len(axes.up) < 3 or set(chosen) != set("xyz"):
+        return None
+    names, unit = [chosen[axis][0] for axis in "xyz"], chosen["x"][1]
+    usual = "vector" if _VECTOR.search(names[0].lower()) else "XYZ"
+    usual = "ZYX" if _ROLL.search(names[0].lower()) else usual
+    orders = [capture.order] if capture.order else sorted(ORDERS, key=lambda order: order != usual)
+    values = capture.at(names)
+    largest = np.abs(np.nan_to_num(values)).max()
+    in_rad = largest <= 2.0 * np.pi and noise_m(values) < _CURVE_STD
+    for word in [unit] if unit in RADIANS else ["rad", "deg"] if in_rad else ["deg"]:
+        factor = round(RADIANS[word], 12)
+        forms = [AngleSection.model_validate({"rotation": names, "order": order,
+                 "radians_per_unit": factor}) for order in orders]  # fmt: skip
+        if section := _section_of_body(capture, forms, axes, root, findings):
+            return section
+    return None
+
+
+def _section_of_four(
+    capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
+) -> AngleSection:
+    """Section of a quaternion whose w is last or first; to fill in if neither turns as the root."""
+    forms = [AngleSection(quaternion=[*order]) for order in (four, (*four[1:], four[0]))]
+    section = _section_of_body(capture, forms, axes, root, findings)
+    if section is not None and section.quaternion != [*four]:
+        sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
+        findings.guessed("hand.angle", sentence)
+    return section or _no_angle(four[0], findings)
 
 
 def _section_of_body(
-    capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
-) -> AngleSection:
+    capture: Capture,
+    forms: Sequence[AngleSection],
+    axes: AxesSection,
+    root: Root,
+    findings: ImportFindings,
+) -> AngleSection | None:
     """Section of the body's axis nearest to the direction in which the cable leaves the body.
 
-    w may be the first of the four columns: it is if only then the body rotates as the cable's root.
+    forms    interpretations of its columns, the usual one first; chosen is the first in which it
+             turns in the plane, as far as the cable's root does
+    returns  None = in none it turns as far
     """
-    section = _along_axis(capture, four, axes, root)
-    w_first_section = _along_axis(capture, [*four[1:], four[0]], axes, root)
-    mismatch, w_first_mismatch = (
-        _mismatch(clamp_angle_rad(capture, each, axes), root) for each in (section, w_first_section)
+    sections = [_along_axis(capture, form, axes, root) for form in forms]
+    signs = [_signs(clamp_angle_rad(capture, s, axes), root.angle_rad, root) for s in sections]
+    same = [s for s, found in zip(sections, signs, strict=True) if 1.0 in found]
+    opposite = [s for s, found in zip(sections, signs, strict=True) if found and s.quaternion]
+    sections = same or opposite
+    if not sections:
+        return None
+    tilts = [_tilt_rad(capture, s, axes) for s in sections]
+    usual = tilts[0] <= _ALIKE * min(tilts) + _SMALL_TILT
+    section = sections[0 if usual else int(np.argmin(tilts))]
+    names = section.quaternion or section.rotation or []
+    how = f", in the order {section.order}" if section.order else ""
+    how = ", a rotation vector" if section.order == "vector" else how
+    sentence = f"the gripper turns as {names[0]!r} … say{how}; the cable leaves along its axis "
+    findings.guessed(
+        "hand.angle", f"{sentence}{section.body_axis}{_offset_clause(section.offset_rad)}"
     )
-    w_first = mismatch > _WRONG_ORDER and w_first_mismatch < _RIGHT_ORDER
-    section = w_first_section if w_first else section
-    assert section.quaternion is not None
-    sentence = f"the gripper turns as {section.quaternion[0]!r} … say; the cable leaves along its "
-    sentence += f"axis {section.body_axis}{_offset_clause(section.offset_rad)}"
-    findings.guessed("hand.angle", sentence)
-    if w_first:
-        sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
+    if not same:
+        sentence = "it turns opposite to the cable's root: is it in other axes, or the inverse?"
         findings.guessed("hand.angle", sentence)
     return section
 
 
-def _mismatch(turned: FloatArray | None, root: Root) -> float:
-    """Relative difference between the rotations of a body and the cable's root; 0 = unknown."""
-    if turned is None or len(turned) != len(root.angle_rad):
+def _tilt_rad(capture: Capture, section: AngleSection, axes: AxesSection) -> float:
+    """Root mean square of a body's rotation since its first rows, other than in the plane."""
+    quaternion = orientation(capture, section)
+    assert quaternion is not None
+    known = quaternion[np.linalg.norm(np.nan_to_num(quaternion), axis=1) > 0.5]
+    if not len(known):
         return 0.0
-    good = np.isfinite(turned) & np.isfinite(root.angle_rad)
-    if not good.any() or np.ptp(root.angle_rad[good]) < _MIN_ROTATION:
-        return 0.0
-    x, y = (v[good] - v[good].mean() for v in (root.angle_rad, turned))
-    return float(np.linalg.norm(y - x) / np.linalg.norm(x))
+    rotation = Rotation.from_quat(known)
+    turn = (rotation * rotation[: _first(known)].mean().inv()).as_rotvec()
+    return float(np.sqrt(np.mean(np.sum((turn @ _plane(axes).T) ** 2, axis=1))))
+
+
+def _plane(axes: AxesSection) -> FloatArray:
+    """(2, 3) right and up in space."""
+    return np.array([np.append(v, 0.0)[:3] for v in (axes.right, axes.up)])
+
+
+def _first(values: FloatArray) -> int:
+    """Number of first rows that show the initial value."""
+    return max(1, len(values) // 20)
 
 
 def _along_axis(
-    capture: Capture, four: Sequence[str], axes: AxesSection, root: Root
+    capture: Capture, form: AngleSection, axes: AxesSection, root: Root
 ) -> AngleSection:
-    """The section for columns x, y, z, w."""
-    quaternion = capture.at(list(four))
-    right, up = (np.append(v, 0.0)[:3] for v in (np.array(axes.right), np.array(axes.up)))
-    leaving = -np.cos(root.rest_rad) * right - np.sin(root.rest_rad) * up
-    rows = quaternion[np.isfinite(quaternion).all(axis=1)][:1]
-    along = {n: float(body_axis(rows, n)[0] @ leaving) if len(rows) else 0.0 for n in BODY_AXES}
-    best = max(BODY_AXES, key=lambda n: along[n])
-    direction = body_axis(rows, best)[0] if len(rows) else leaving
-    offset = wrapped(root.rest_rad - angle_of(np.array([direction @ right, direction @ up])))
-    offset = float(round(offset, 4)) if abs(offset) > root.agrees_rad else 0.0
-    return AngleSection(quaternion=list(four), body_axis=best, offset_rad=offset)
+    """The form with the body's axis along which the cable leaves at rest, and an offset to it."""
+    quaternion = orientation(capture, form)
+    assert quaternion is not None
+    leaving = -np.array([np.cos(root.rest_rad), np.sin(root.rest_rad)]) @ _plane(axes)
+    rows = quaternion[np.isfinite(quaternion).all(axis=1)]
+    rows = rows[: _first(rows)]
+    along = {n: float(np.nansum(body_axis(rows, n) @ leaving)) for n in BODY_AXES}
+    section = form.model_copy(update={"body_axis": max(BODY_AXES, key=lambda n: along[n])})
+    angle = clamp_angle_rad(capture, section, axes)
+    assert angle is not None
+    known = angle[np.isfinite(angle)]
+    offset = root.offset_rad(float(np.median(known[: _first(known)]))) if len(known) else 0.0
+    return section.model_copy(update={"offset_rad": offset})

@@ -325,7 +325,7 @@ def captured(
     )
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
-    capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time)
+    capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time, order=header.order)
     return capture, labels
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
@@ -12,6 +12,9 @@ from cell.study.entries import Finite, NotNegative, Positive, SectionPart
 from cell.study.imports.capture import Capture, Decimal, TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+#: Of angles about x, y and z: a rotation vector, or the order of turns about a body's own axes.
+RotationOrder = Literal["vector", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
+ORDERS: tuple[RotationOrder, ...] = get_args(RotationOrder)
 BODY_AXES: tuple[BodyAxis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 Name = Annotated[str, Field(min_length=1)]
@@ -98,6 +101,7 @@ class AngleSection(SectionPart):
     constant_rad      it never turns
     column            of the angle, with `radians_per_unit` (negative: positive means up)
     quaternion        columns x, y, z, w; `body_axis`: along it the cable leaves the clamp
+    rotation          three angles x, y, z of a body, with `order` and `radians_per_unit`, instead
     towards           columns of a second point of the gripper; the cable leaves in its direction
     follows           true: the clamp turns with the arm of `turns`; then the cable leaves along it
     offset_rad        added
@@ -107,6 +111,8 @@ class AngleSection(SectionPart):
     column: Name | None = None
     radians_per_unit: Finite | None = None
     quaternion: Annotated[list[Name], Field(min_length=4, max_length=4)] | None = None
+    rotation: Annotated[list[Name], Field(min_length=3, max_length=3)] | None = None
+    order: RotationOrder | None = None
     body_axis: BodyAxis | None = None
     towards: Annotated[list[Name], Field(min_length=2, max_length=3)] | None = None
     follows: Literal[True] | None = None
@@ -141,9 +147,9 @@ class GripperSection(SectionPart):
 
     @property
     def unfinished(self) -> bool:
-        """Whether entries of its place must be filled in."""
+        """Whether entries must be filled in."""
         known = any(getattr(self, way) is not None for way in WAYS)
-        return not known or bool(entries_to_fill_in(self))
+        return not known or self.angle == AngleSection() or bool(entries_to_fill_in(self))
 
     def standing_still(self) -> GripperSection:
         """The section with a fixed gripper, to show trials without its path."""
@@ -183,15 +189,18 @@ def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:
     elif (columns := hand.along_columns) is not None and not any(columns):
         key: Key = ("hand", *(["acceleration"] if hand.acceleration else []), "columns")
         yield key, "are all null; name one, or give fixed_m instead"
-    ways = ("constant_rad", "column", "quaternion", "towards", "follows")
+    ways = ("constant_rad", "column", "quaternion", "rotation", "towards", "follows")
     angle_ways = [name for name in ways if getattr(angle, name) is not None]
     if len(angle_ways) != 1:
         message = f"{' and '.join(angle_ways) or 'nothing'} given; give one of {', '.join(ways)}"
         yield ("hand", "angle"), message
-    elif angle.column is not None and angle.radians_per_unit is None:
+    elif (angle.column or angle.rotation) and angle.radians_per_unit is None:
         message = "is missing; give 0.0174533 for degrees, 1 for radians, "
         yield ("hand", "angle", "radians_per_unit"), f"{message}negative if up is positive"
-    elif angle.quaternion is not None and angle.body_axis is None:
+    elif angle.rotation and angle.order is None:
+        message = f"is missing; give one of {', '.join(ORDERS)}"
+        yield ("hand", "angle", "order"), message
+    elif (angle.quaternion or angle.rotation) and angle.body_axis is None:
         message = (
             "is missing; give the axis of the gripper along which the cable leaves it, such as +x"
         )

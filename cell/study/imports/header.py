@@ -24,6 +24,7 @@ _COLUMNS = re.compile(r"(?:columns?|fields?)(?: names?)?\s*:\s*(.*)", re.IGNOREC
 _UNIT_KEY = re.compile(r"(?:length )?units?\b")
 #: Maximum number of characters of an unknown unit.
 _LONGEST_UNIT = 4
+_ORDER_KEY = re.compile(r"(?:rotation|euler)\b.*")
 _MARKER_NAMES = re.compile(r"marker_?names")
 
 
@@ -33,6 +34,7 @@ class Header:
 
     pixel_m  length of a pixel, m; None = it is not stated
     time     of all rows, and its unit; None = it is not stated
+    order    of rotations about axes, such as XYZ; empty = it is not stated
     """
 
     columns: tuple[CapturedColumn, ...]
@@ -40,6 +42,7 @@ class Header:
     unit: str
     pixel_m: float | None = None
     time: tuple[float, str] | None = None
+    order: str = ""
 
 
 def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
@@ -78,6 +81,7 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
         unit,
         stated_pixel_m(path, rows),
         next(reversed(times.values()), None),
+        _stated_order(rows),
     )
 
 
@@ -256,6 +260,16 @@ def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
                 unit = unit_of(value)
     in_remarks, its_unit = stated_in_remarks(rows)
     return rate_hz or in_remarks or _rate_below_title(rows), unit or its_unit
+
+
+def _stated_order(rows: Lines) -> str:
+    """Order of rotations that a remark states, such as Motive's `Rotation Type,XYZ`."""
+    for _, cells in rows:
+        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
+        for key, value in pairwise(words):
+            if _ORDER_KEY.fullmatch(key.lower()) and sorted(value.upper()) == ["X", "Y", "Z"]:
+                return value.upper()
+    return ""
 
 
 def _rate_below_title(rows: Lines) -> float | None:

@@ -207,11 +207,28 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
     if angle.column is not None and angle.radians_per_unit is not None:
         angles: FloatArray = capture.column(angle.column) * angle.radians_per_unit
         return continuous(angles, angle.offset_rad)
-    if angle.quaternion is not None and angle.body_axis is not None:
-        leaving = body_axis(capture.at(angle.quaternion), angle.body_axis)
+    if (quaternion := orientation(capture, angle)) is not None and angle.body_axis is not None:
+        leaving = body_axis(quaternion, angle.body_axis)
         right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _basis(axes))
         return continuous(_angle(leaving @ right, leaving @ up), angle.offset_rad)
     return None
+
+
+def orientation(capture: Capture, angle: AngleSection) -> FloatArray | None:
+    """(rows, 4) quaternions x, y, z, w of a body; None if none of its columns are named."""
+    if angle.rotation is None or angle.order is None or angle.radians_per_unit is None:
+        return None if angle.quaternion is None else capture.at(angle.quaternion)
+    values = capture.at(angle.rotation) * angle.radians_per_unit
+    known = np.isfinite(values).all(axis=1)
+    quaternion = np.full((len(values), 4), np.nan)
+    if not known.any():
+        return quaternion
+    if angle.order == "vector":
+        quaternion[known] = Rotation.from_rotvec(values[known]).as_quat()
+    else:
+        in_order = values[known][:, ["XYZ".index(axis) for axis in angle.order]]
+        quaternion[known] = Rotation.from_euler(angle.order, in_order).as_quat()
+    return quaternion
 
 
 def angle_towards(from_m: FloatArray, to_m: FloatArray, offset_rad: float = 0.0) -> FloatArray:

@@ -17,6 +17,7 @@ from cell.study.imports.gripper_section import AxesSection
 from cell.study.imports.places import angle_of
 from cell.study.imports.shape import arc_lengths, middle, resting, root_direction
 from cell.study.imports.trials import Files
+from cell.study.series import wrapped
 
 #: Maximum rows of a trial in which the direction of the cable's root is estimated.
 _MAX_ROWS = 1000
@@ -101,9 +102,23 @@ def root_at_rest(scene: PlaneChain, arcs: Sequence[float | None]) -> Root:
     """
     shape = scene.shape
     angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
+    error_rad = _error_rad(angle, shape)
     if (curve := curve_from_gripper(scene, arcs)) is not None:
         angle = angle_of(curve(0.0, 1))
-    return Root(np.full(1, np.nan), angle, len(shape) <= A_LINE)
+        coarse = CubicSpline(np.delete(curve.x, 1), np.delete(shape, 1, axis=0))
+        error_rad = abs(wrapped(angle - angle_of(coarse(0.0, 1))))
+    return Root(np.full(1, np.nan), angle, len(shape) <= A_LINE, error_rad=error_rad)
+
+
+def _error_rad(angle_rad: float, shape: FloatArray) -> float:
+    """Estimated error of a root's angle by a curve, from one without the second point.
+
+    Its error grows with the power of the distance that is the curve's order.
+    """
+    if len(shape) <= A_LINE:
+        return 0.0
+    coarse_rad = angle_of(root_direction(np.delete(shape, 1, axis=0)))
+    return abs(wrapped(angle_rad - coarse_rad)) / (2.0 ** min(3, len(shape) - 1) - 1.0)
 
 
 def root_in_rows(scene: PlaneChain) -> Root:
@@ -113,7 +128,8 @@ def root_in_rows(scene: PlaneChain) -> Root:
     complete = complete[:: max(1, len(complete) // _MAX_ROWS)]
     directions = [root_direction(shape) for shape in scene.xy_m[complete]]
     angle[complete] = np.unwrap([angle_of(d) for d in directions])
-    return Root(angle, angle_of(root_direction(scene.shape)), len(scene.shape) <= A_LINE)
+    rest_rad, is_line = angle_of(root_direction(scene.shape)), len(scene.shape) <= A_LINE
+    return Root(angle, rest_rad, is_line, error_rad=_error_rad(rest_rad, scene.shape))
 
 
 def roots_of_others(

@@ -390,7 +390,8 @@ def _add_unused(
     points = [p for p in (*chosen.markers, chosen.gripper, chosen.second) if p is not None]
     used = {n for p in points for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
-    unused += [n for n, _ in inside.angles if n != hand.angle.column]
+    of_angle = {hand.angle.column, *(hand.angle.rotation or ())}
+    unused += [n for n, _ in inside.angles if n not in of_angle]
     if not unused:
         return
     sentence = f"not used of {capture.path.name}: columns {first_of(unused, 8)}"
