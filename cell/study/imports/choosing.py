@@ -23,6 +23,8 @@ from cell.study.imports.units import METRES
 
 #: A point is stationary if it moves by less than this share of the largest motion.
 STAYS = 1e-3
+#: … and it is on a moving gripper if it moves by more than this share.
+MOVES = 0.1
 #: A point detected in less than this share of the median count of rows is a false detection.
 _RARE = 0.15
 #: Values that programs write into all coordinates of a point that was not detected.
@@ -42,12 +44,14 @@ class Chosen:
 
     gripper    the gripping point, in the same file; None = in another file, or not measured
     second     a second point of the gripper
+    clamp      a point named after the gripper, whose path is in another file
     """
 
     markers: tuple[Point, ...]
     gripper: Point | None
     second: Point | None
     lost: tuple[float, ...]
+    clamp: Point | None = None
 
 
 def choose(
@@ -79,9 +83,13 @@ def choose(
         raise capture.error(
             0, "shows no point that moves besides the gripper; give the cable's markers"
         )
-    hand, second = None, None
+    hand, second, clamp = None, None, None
     if named:
         cable = _without_body(named, cable, raw, findings)
+    if named and hand_elsewhere:
+        most = max(reach_of(raw[p.name]) for p in cable)
+        clamp, _ = _gripper_points(named, cable, raw, inside)
+        clamp = clamp if clamp and reach_of(raw[clamp.name]) > MOVES * most else None
     if not hand_elsewhere:
         hand, second = _gripper_points(named, cable, raw, inside)
         if hand is not None:
@@ -112,7 +120,7 @@ def choose(
             sentence += "and from it to the tip the markers span the free length"
             findings.guessed("hand", sentence)
         hand = None if swings else end
-    elif hand is None:
+    elif hand is None and clamp is None:
         order = from_end(cable, raw)
         if behind := _count_on_gripper(order, raw, free_length_m):
             body = ", ".join(repr(p.name) for p in order[:behind])
@@ -120,13 +128,15 @@ def choose(
             findings.guessed("markers", f"{sentence}, and they move as one body: left out")
             order = order[behind:]
     else:
-        order = [cable[i - 1] for i in chain(_at_rest([hand, *cable], raw), 0)[1:]]
+        first = hand or clamp
+        assert first is not None
+        order = [cable[i - 1] for i in chain(_at_rest([first, *cable], raw), 0)[1:]]
     names = " → ".join(p.name for p in order)
     findings.shown(
         "markers",
         f"from the gripper to the tip the markers are {names}, each nearest to the one before",
     )
-    return Chosen(tuple(order), hand, second, lost)
+    return Chosen(tuple(order), hand, second, lost, clamp)
 
 
 #: Tolerances of one cable's chain length and of its pieces between trials, and fewest pieces.

@@ -9,6 +9,7 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
@@ -74,10 +75,14 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     problems: list[Problem] = []
     notes = [note for capture in captures.values() for note in capture.notes]
     trials: list[Trial] = []
+    if mapping.hand.columns is not None and mapping.hand.origin_m is None:
+        read, note = _with_origin(read, captures, arcs[order], order)
+        notes.append(note)
     for i, entry in enumerate(mapping.trials):
         try:
             measured = _read_trial(read.of_trial(entry), entry, captures, order)
             _check_unit(read, measured.trial, arcs[order])
+            _check_origin(read, measured.trial, arcs[order], cable.length_m)
         except InputError as error:
             problems += error.problems
             continue
@@ -103,6 +108,64 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         sensor=WrenchSensor() if mapping.wrench is None else mapping.wrench.sensor(),
     )
     return Imported(study, tuple(notes))
+
+
+#: Largest distance of a gripper from the start of the curve at rest, as shares of the free length
+#: and of the first marker's arc length.
+_APART, _APART_OF_ARC = 0.05, 0.5
+
+
+def _places_at_rest(trial: Trial, arcs: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """(2,) gripping point, and (2,) start of the curve through the markers; None = not known.
+
+    arcs  (markers,) from the tip on
+    """
+    at_rest = trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
+    if trial.bent or not at_rest.any() or len(arcs) < 3 or np.any(np.diff(arcs) >= 0.0):
+        return None
+    shown = trial.markers.xy_m[at_rest]
+    if not np.isfinite(shown).all(axis=2).any(axis=0).all():
+        return None
+    curve = CubicSpline(arcs[::-1], np.nanmedian(shown, axis=0)[::-1])
+    return np.array([trial.grip.x_m[0], trial.grip.y_m[0]]), curve(0.0)
+
+
+def _with_origin(
+    read: ReadMapping,
+    captures: Dictionary[str, Capture],
+    arcs: FloatArray,
+    order: NDArray[np.intp],
+) -> tuple[ReadMapping, str]:
+    """The mapping with the origin that its first trial shows, and a note.  Raises InputError."""
+    mapping, key = read.mapping, ("hand", "origin_m")
+    entry = mapping.trials[0]
+    shown = _places_at_rest(_read_trial(read.of_trial(entry), entry, captures, order).trial, arcs)
+    if shown is None:
+        message = f"is null, and {entry.name} shows no 3 markers at rest to estimate it by; measure"
+        raise read.error(key, f"{message} where the origin of the gripper's places is, as [x, y]")
+    x_m, y_m = (round(float(v), 5) for v in shown[1] - shown[0])
+    hand = mapping.hand.model_copy(update={"origin_m": (x_m, y_m)})
+    note = f"{read.document.path}: hand.origin_m is estimated as [{x_m:g}, {y_m:g}], so that the "
+    mapping = mapping.model_copy(update={"hand": hand})
+    return ReadMapping(mapping, read.document), f"{note}markers' curve begins at the gripper"
+
+
+def _check_origin(read: ReadMapping, trial: Trial, arcs: FloatArray, length_m: float) -> None:
+    """Raise InputError where an origin puts the gripper away from the start of the cable."""
+    shown, hand = _places_at_rest(trial, arcs), read.mapping.hand
+    if shown is None or not hand.columns or (hand.origin_m == (0.0, 0.0) and hand.axes is None):
+        return
+    limit_m = max(_APART * length_m, _APART_OF_ARC * float(arcs[-1]))
+    apart_m = float(np.linalg.norm(shown[1] - shown[0]))
+    if apart_m > limit_m:
+        (x_m, y_m), (start_x_m, start_y_m) = shown
+        raise read.error(
+            ("hand", "origin_m"),
+            f"puts the gripper of {trial.name} at [{x_m:.4g}, {y_m:.4g}] m at rest, yet the curve "
+            f"through the markers begins at [{start_x_m:.4g}, {start_y_m:.4g}] m by their "
+            f"arc_length_m, {apart_m:.3g} m away, limit {limit_m:.2g} m; give null to have it "
+            "estimated, or correct metres_per_unit or arc_length_m",
+        )
 
 
 @dataclass(frozen=True)

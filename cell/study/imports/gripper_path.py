@@ -62,17 +62,17 @@ def gripper_path(
     if hand.acceleration is not None:
         assert angle_rad is not None  # towards and follows are refused
         return _path_by_sensor(read, entry, capture, t_s, angle_rad)
-    note = ""
+    note, origin_m = "", hand.origin_m or (0.0, 0.0)
     if hand.columns is not None:
         xy_m = places_m(capture, hand.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
-        xy_m = xy_m + hand.origin_m
+        xy_m = xy_m + origin_m
         note = _lost_rows_text(read, entry, capture)
     else:
         xy_m = np.broadcast_to(np.array(hand.fixed_m, dtype=np.float64), (len(t_s), 2))
     if angle_rad is None:
         second = hand.angle.towards or ()
         towards = places_m(capture, second, axes, scale, mapping.lost, of_hand=True)
-        angle_rad = angle_towards(xy_m, towards + hand.origin_m, hand.angle.offset_rad)
+        angle_rad = angle_towards(xy_m, towards + origin_m, hand.angle.offset_rad)
     return GripperPath(xy_m, angle_rad, note=note)
 
 
@@ -135,7 +135,7 @@ def _path_by_sensor(
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None
-    angle_rad = _interpolated(t_s, angle_rad)
+    angle_rad = interpolated(t_s, angle_rad)
     shown, measured = _specific_force(read, section, capture)
     known = np.isfinite(shown).all(axis=1) & np.isfinite(angle_rad)
     rows = np.flatnonzero(known)
@@ -170,7 +170,7 @@ def _path_by_sensor(
     )
 
 
-def _interpolated(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
+def interpolated(t_s: FloatArray, angle_rad: FloatArray) -> FloatArray:
     """Angles (rows,), interpolated where they were logged less often than acceleration."""
     known = np.isfinite(angle_rad)
     if not known.any():

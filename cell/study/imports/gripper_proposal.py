@@ -246,6 +246,8 @@ _DIRECTION_TOL = 0.25
 _FINAL_SHARE = 0.3
 #: The nearest marker moves about as far as the gripper; a ratio above this is another unit.
 _MAX_RATIO = 5.0
+#: Units whose ratios differ by less, in logarithms, are equally likely.
+_EQUALLY = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,6 +335,8 @@ def _unit_of_place(
     names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
     tried = [u for u in (scale, *names) if u is not None]
     fitting = [u for u in tried if span > 0.0 and 1 / _MAX_RATIO < u * span / marker_m < _MAX_RATIO]
+    off = [abs(np.log(u * span / marker_m)) for u in fitting]
+    fitting = [u for u, each in zip(fitting, off, strict=True) if each < min(off) + _EQUALLY]
     if not span > 0.0 or not marker_m > 0.0 or not fitting:
         if stated is not None:
             return stated, as_stated

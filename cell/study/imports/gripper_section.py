@@ -126,7 +126,8 @@ class GripperSection(SectionPart):
     fixed_m    it never moves, in the study's frame; or
     turns      it is on an arm that turns about an axle; or
     acceleration  its place is integrated
-    origin_m   the gripper's origin in the study's frame, where its file has another one
+    origin_m   the gripper's origin in the study's frame, where its file has another one; null = so
+               that the curve through the markers at rest begins at the gripper
     """
 
     columns: Columns | None = None
@@ -138,7 +139,7 @@ class GripperSection(SectionPart):
     time: TimeSection | None = None
     metres_per_unit: Positive | None = None
     axes: AxesSection | None = None
-    origin_m: tuple[Finite, Finite] = (0.0, 0.0)
+    origin_m: tuple[Finite, Finite] | None = (0.0, 0.0)
 
     @property
     def along_columns(self) -> list[str | None] | None:

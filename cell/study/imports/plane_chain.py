@@ -66,7 +66,7 @@ def scene_of(
 
 def detected_points(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
     """(rows, points, d) detected positions of points, in the file's unit and axes."""
-    of_hand = (chosen.gripper, chosen.second)
+    of_hand = (chosen.gripper, chosen.second, chosen.clamp)
     return np.stack(
         [detected_places(capture, p.columns, chosen.lost, of_hand=p in of_hand) for p in points],
         axis=1,

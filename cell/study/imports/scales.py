@@ -172,13 +172,20 @@ def _plausible(span_m: float, free_length_m: float | None) -> bool:
 
 
 def metres_per_unit(
-    units: set[str], extent: float, free_length_m: float | None
+    units: set[str], extent: float, free_length_m: float | None, by_stroke: float | None = None
 ) -> tuple[float | None, Finding]:
     """Metres a unit of the coordinates.
+
+    by_stroke  as the gripper's motion in its own file shows; None = it does not
 
     units   that the file states for them
     extent  length of the chain of points, in the file's unit
     """
+    if by_stroke is not None:
+        of_cable = "" if free_length_m is None else f" of the free length {free_length_m:g} m"
+        sentence = f"a unit of length is {by_stroke:.4g} m, by the gripper's stroke in its own "
+        sentence += f"file: then the markers span {extent * by_stroke:.3g} m{of_cable}"
+        return float(f"{by_stroke:.6g}"), Finding("metres_per_unit", sentence, Sure.GUESSED)
     stated = next((u for u in sorted(units) if u in METRES), "")
     if stated and not _plausible(METRES[stated] * extent, free_length_m):
         long = f"{METRES[stated] * extent:.4g} m"

@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from cell.cable.arrays import FloatArray
+from cell.study.imports.alignment import Alignment, GripperTrack, align, align_root
 from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings, Sure
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.contents import contents
+from cell.study.imports.contents import Point, contents
 from cell.study.imports.convert import times_s
+from cell.study.imports.gripper_path import interpolated
 from cell.study.imports.gripper_section import TextSection, TimeSection
 from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
-from cell.study.imports.places import places_m
+from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 from cell.study.imports.row_trials import TrialLabel
 from cell.study.imports.scales import time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
-from cell.study.root_motion import INNERMOST, root_places_m
 from cell.study.series import span_m
 
 
@@ -70,23 +70,30 @@ def unique_names(labels: Sequence[str]) -> list[str]:
 
 
 def trial_entries(
-    trials: Sequence[Files], mapping: Mapping, rate_hz: float | None, findings: ImportFindings
+    trials: Sequence[Files],
+    mapping: Mapping,
+    rate_hz: float | None,
+    findings: ImportFindings,
+    clamp: Point | None = None,
 ) -> list[TrialEntry]:
     """Start, role and clock of every trial, and entries in which its files differ.
 
+    clamp     point of the gripper in the markers' files; None = they have none
     rate_hz   rows a second that the user states for all files of markers
     findings  findings about the trials are added
     raises    InputError: times are in disorder, or a column is missing
     """
     entries: list[TrialEntry] = []
-    shared_s = _shared_clock(trials, mapping, findings)
+    shared_s = _shared_clock(trials, mapping, clamp, findings)
     for number, (files, entry) in enumerate(zip(trials, mapping.trials, strict=True)):
         role = "validate" if len(trials) > 1 and number == len(trials) - 1 else "fit"
         overrides = _overrides(files, mapping, rate_hz, findings)
         entry = entry.model_copy(update={"role": role, **overrides})
         of_trial = mapping.of_trial(entry)
         if of_trial.time.seconds_per_unit is not None and mapping.metres_per_unit is not None:
-            entry = entry.model_copy(update=_start_and_clock(files, of_trial, findings, shared_s))
+            entry = entry.model_copy(
+                update=_start_and_clock(files, of_trial, clamp, findings, shared_s)
+            )
         entries.append(entry)
     if len(trials) > 1:
         sentence = f"{trials[-1].name} is kept for comparison (role validate), the others are "
@@ -133,6 +140,10 @@ def _seconds_per_unit(
     return None
 
 
+#: Maximum share of a point's motion that the gripper's does not explain, if they move as one.
+_SAME_POINT = 0.02
+#: Minimum clock offset that a point of the gripper shows, in standard deviations.
+_SIGMAS = 3.0
 #: Minimum clock offset that is proposed, in rows.
 ROWS_OFF = 1.5
 #: Maximum arc length, as a fraction of the cable, of a marker that follows the gripper closely.
@@ -149,7 +160,7 @@ _JOINT = 0.5
 
 
 def _shared_clock(
-    trials: Sequence[Files], mapping: Mapping, findings: ImportFindings
+    trials: Sequence[Files], mapping: Mapping, clamp: Point | None, findings: ImportFindings
 ) -> float | None:
     """Offset of the gripper's clock, s, where all trials are in the rows of the same files.
 
@@ -165,18 +176,12 @@ def _shared_clock(
     shifts, weights, steps = [], [], []
     for files in trials:
         t_s = times_s(files.capture, time)
-        zero_s = float(t_s[0]) if time.starts_at_zero else 0.0
-        hand_s, hand_m = _gripper_path(files.capture, files.gripper, mapping, zero_s)
-        at_m = [
-            places_m(files.capture, m.columns, mapping.axes, mapping.metres_per_unit or 1.0)
-            for m in mapping.markers
-        ]
-        root_m = _root_m(np.stack(at_m, axis=1), [m.arc_length_m for m in mapping.markers])
-        shift_s = clock_shift_s(hand_s, hand_m, t_s - zero_s, root_m)
-        steps.append(float(max(np.median(np.diff(hand_s)), np.median(np.diff(t_s)))))
-        if shift_s is not None:
-            shifts.append(shift_s)
-            weights.append(span_m(hand_m) ** 2)
+        hand = _gripper_path(files, mapping)
+        aligned, _ = _aligned(files, mapping, clamp)
+        steps.append(float(max(np.median(np.diff(hand.t_s)), np.median(np.diff(t_s)))))
+        if aligned is not None:
+            shifts.append(aligned.shift_s)
+            weights.append(span_m(hand.xy_m) ** 2)
     if not shifts:
         return None
     shift_s = round(float(np.average(shifts, weights=weights)), 4)
@@ -191,7 +196,11 @@ def _shared_clock(
 
 
 def _start_and_clock(
-    files: Files, mapping: Mapping, findings: ImportFindings, shared_s: float | None = None
+    files: Files,
+    mapping: Mapping,
+    clamp: Point | None,
+    findings: ImportFindings,
+    shared_s: float | None = None,
 ) -> dict[str, Any]:
     """Entries `start`, `release_s` and `clock_offset_s` of a trial.
 
@@ -211,7 +220,8 @@ def _start_and_clock(
     offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
     is_timed = (mapping.hand.time or mapping.time).seconds_per_unit is not None
     if is_timed and (mapping.hand.columns is not None or mapping.hand.fixed_m is not None):
-        hand_s, hand_m = _gripper_path(capture, hand, mapping, zero_s)
+        track = _gripper_path(files, mapping)
+        hand_s, hand_m = track.t_s, track.xy_m
         zone_s = _zone_s(name, hand_s, t_s, findings)
         hand_s = hand_s + zone_s
         if shared_s is not None:
@@ -221,8 +231,7 @@ def _start_and_clock(
         if hand is not None and not offset_s:
             counts = _counts(mapping.time) and not _counts(mapping.hand.time or mapping.time)
             first_s = zero_s if counts else 0.0
-            observed = t_s, xy_m
-            offset_s = _clock(files, (hand_s + first_s, hand_m), observed, mapping, findings)
+            offset_s = _clock(files, mapping, clamp, first_s + zone_s, findings)
             if first_s:
                 offset_s = round(first_s + offset_s, 6)
                 sentence = f"{name}: column {mapping.time.column!r} counts frames: the first is "
@@ -258,19 +267,24 @@ def _counts(time: TimeSection) -> bool:
     return meaning(CapturedColumn(time.column)).kind is ColumnKind.FRAME
 
 
-def _gripper_path(
-    capture: Capture, hand: Capture | None, mapping: Mapping, zero_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Times and places of the gripping point."""
-    section, source = mapping.hand, hand or capture
-    t_s = times_s(source, section.time or mapping.time) - zero_s
+def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
+    """The gripper's path, where it is known."""
+    section, source = mapping.hand, files.gripper or files.capture
+    t_s, _ = _times_s(files, mapping)
+    still = np.zeros((len(t_s), 2))
     if section.columns is None:
-        return t_s, np.broadcast_to(np.array(section.fixed_m, dtype=np.float64), (len(t_s), 2))
+        return GripperTrack(t_s, still + np.array(section.fixed_m, dtype=np.float64), still)
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
-    axes = section.axes or mapping.axes
-    at_m = places_m(source, section.columns, axes, scale, mapping.lost, unseen=0.0, of_hand=True)
-    known = np.isfinite(at_m).all(axis=1)
-    return t_s[known], at_m[known]
+    axes, lost = section.axes or mapping.axes, mapping.lost
+    at_m = places_m(source, section.columns, axes, scale, lost, unseen=0.0, of_hand=True)
+    angle = clamp_angle_rad(source, section.angle, axes)
+    if angle is None and (second := section.angle.towards):
+        angle = angle_towards(at_m, places_m(source, second, axes, scale, lost, of_hand=True))
+    if angle is not None and np.isfinite(angle).any():
+        angle = interpolated(t_s, angle)
+        still = -np.column_stack([np.cos(angle), np.sin(angle)])
+    known = np.isfinite(at_m + still).all(axis=1)
+    return GripperTrack(t_s[known], at_m[known], still[known])
 
 
 def _row_offset(
@@ -293,46 +307,94 @@ def _row_offset(
 
 
 def _clock(
-    files: Files,
-    hand: tuple[FloatArray, FloatArray],
-    observed: tuple[FloatArray, FloatArray],
-    mapping: Mapping,
-    findings: ImportFindings,
+    files: Files, mapping: Mapping, clamp: Point | None, added_s: float, findings: ImportFindings
 ) -> float:
-    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper shows it."""
-    name, first = files.name, mapping.markers[0].arc_length_m
-    length_m = mapping.cable.free_length_m
-    reason, shift_s = "no marker is near the gripper", None
-    if first is not None and length_m is not None and first <= NEAR_HAND * length_m:
-        root_m = _root_m(observed[1], [m.arc_length_m for m in mapping.markers])
-        reason, shift_s = "the gripper hardly moves", clock_shift_s(*hand, observed[0], root_m)
-    if shift_s is None:
+    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper shows it.
+
+    added_s  to the gripper's times before
+    """
+    name, first, length_m = files.name, mapping.markers[0].arc_length_m, mapping.cable.free_length_m
+    aligned, by_clamp = _aligned(files, mapping, clamp)
+    if aligned is None:
+        is_near = first is not None and length_m is not None and first <= NEAR_HAND * length_m
+        reason = "the gripper hardly moves" if is_near else "no marker is near the gripper"
         sentence = f"{name}: {reason}: whether both clocks agree is not known"
         findings.guessed("clock_offset_s", sentence)
         return 0.0
-    limit_s = ROWS_OFF * float(max(np.median(np.diff(hand[0])), np.median(np.diff(observed[0]))))
+    hand_s, t_s = _times_s(files, mapping)
+    shift_s = round(aligned.shift_s - added_s, 4)
+    limit_s = ROWS_OFF * float(max(np.median(np.diff(hand_s)), np.median(np.diff(t_s))))
+    if by_clamp and not files.in_one:
+        limit_s = _SIGMAS * aligned.std_s
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
         findings.shown("clock_offset_s", sentence)
         return 0.0
-    shift_s = round(shift_s, 4)
-    if files.in_one and hand[0][0] < observed[0][-1] and observed[0][0] < hand[0][-1]:
+    if files.in_one and hand_s[0] + added_s < t_s[-1] and t_s[0] < hand_s[-1] + added_s:
         sentence = f"{name}: gripper and markers are in one file, and so on one clock, though both "
         sentence += f"move at once if the gripper's is {shift_s:+g} s later; give clock_offset_s if"
         findings.guessed("clock_offset_s", f"{sentence} that is right")
         return 0.0
-    sentence = f"{name}: {shift_s:+g} s are added to the gripper's clock, so that both move at once"
-    findings.guessed("clock_offset_s", sentence)
+    how = f"that it and {clamp.name!r} move" if clamp is not None and by_clamp else "that both move"
+    sentence = f"{name}: {shift_s:+z.4f} s ± {aligned.std_s * 1e3:.1g} ms are added to the "
+    findings.guessed("clock_offset_s", f"{sentence}gripper's clock, so {how} at once")
     return shift_s
 
 
-def _root_m(xy_m: FloatArray, arcs_m: Sequence[float | None]) -> FloatArray:
-    """(T, 2) cable root from the innermost markers; the nearest marker if these are not visible."""
-    known = [float(a) for a in arcs_m[:INNERMOST] if a is not None]
-    if len(known) < INNERMOST or np.any(np.diff(known) <= 0.0):
-        return xy_m[:, 0]
-    root_m = root_places_m(xy_m, np.array(known))
-    return root_m if np.isfinite(root_m).all(axis=1).mean() > 0.5 else xy_m[:, 0]
+def _times_s(files: Files, mapping: Mapping) -> tuple[FloatArray, FloatArray]:
+    """Times of the gripper's file and of the markers'."""
+    t_s = times_s(files.capture, mapping.time)
+    zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
+    hand_s = times_s(files.gripper or files.capture, mapping.hand.time or mapping.time)
+    return hand_s - zero_s, t_s - zero_s
+
+
+def _aligned(
+    files: Files, mapping: Mapping, clamp: Point | None, free_gain: bool = False
+) -> tuple[Alignment | None, bool]:
+    """The gripper's path aligned with the clamp, and True; else with the cable's root, and False.
+
+    None = the gripper hardly moves, or no marker is near it
+    """
+    capture, scale = files.capture, mapping.metres_per_unit or 1.0
+    hand, (_, t_s) = _gripper_path(files, mapping), _times_s(files, mapping)
+    axes, lost = mapping.axes, mapping.lost
+    if clamp is not None and set(clamp.columns) <= set(capture.names):
+        clamp_m = places_m(capture, clamp.columns, axes, scale, lost, of_hand=True)
+        aligned = align(hand.t_s, hand.xy_m, t_s, clamp_m, free_gain)
+        if aligned is not None and aligned.unexplained < _SAME_POINT:
+            return aligned, True
+    first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
+    if first is None or length_m is None or first > NEAR_HAND * length_m:
+        return None, False
+    at_m = [places_m(capture, m.columns, axes, scale, lost) for m in mapping.markers]
+    arcs_m = [m.arc_length_m for m in mapping.markers]
+    return align_root(hand, t_s, np.stack(at_m, axis=1), arcs_m, free_gain), False
+
+
+def stroke_gain(trials: Sequence[Files], mapping: Mapping, clamp: Point | None) -> float | None:
+    """Motion of the cable's root over the gripper's, which has a file of its own; None = unknown.
+
+    clamp  point of the gripper in the markers' file
+    """
+    gains, weights = [], []
+    times = mapping.time, mapping.hand.time or mapping.time
+    known = mapping.hand.columns is not None and all(t.seconds_per_unit for t in times)
+    for files in trials if known else ():
+        if files.gripper is None:
+            continue
+        aligned = _aligned(files, mapping, clamp, free_gain=True)[0]
+        if aligned is not None and aligned.unexplained < _SAME_POINT:
+            gains.append(aligned.gain)
+            hand = _gripper_path(files, mapping)
+            weights.append(span_m(hand.xy_m) ** 2)
+    return float(np.average(gains, weights=weights)) if gains else None
+
+
+def origin_by_clamp(files: Files, mapping: Mapping, clamp: Point) -> FloatArray | None:
+    """(2,) of the gripper's file in the study's frame, m; None = the paths are not alike."""
+    aligned, by_clamp = _aligned(files, mapping, clamp)
+    return aligned.offset_m if aligned is not None and by_clamp else None
 
 
 def _start(
@@ -370,59 +432,9 @@ def _start(
     return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}
 
 
-#: Number of candidate shifts, and of samples for each.
-_SHIFTS, _SAMPLES = 1500, 600
-#: Minimum overlap of both motions, as a fraction of the shorter one.
-_OVERLAP = 0.5
-#: Minimum motion of the gripper, relative to the marker's, for estimating a shift.
-_MIN_RATIO = 0.1
-
-
 def clock_shift_s(
     hand_s: FloatArray, hand_m: FloatArray, marker_s: FloatArray, marker_m: FloatArray
 ) -> float | None:
-    """Offset of the gripper's clock by the motion of a marker near it, s; None = unknown.
-
-    hand_m    (T, 2) path of the gripping point
-    marker_m  (frames, 2) positions of the marker nearest to it, nan = not visible
-    """
-    visible = np.isfinite(marker_m).all(axis=1)
-    marker_s, marker_m = marker_s[visible], marker_m[visible]
-    spans = [span_m(m) if len(m) > 3 else 0.0 for m in (hand_m, marker_m)]
-    if min(spans) == 0.0 or spans[0] < _MIN_RATIO * spans[1]:
-        return None
-    lasts_s = min(np.ptp(hand_s), np.ptp(marker_s))
-    low = marker_s[0] - hand_s[-1] + _OVERLAP * lasts_s
-    high = marker_s[-1] - hand_s[0] - _OVERLAP * lasts_s
-    sample = np.unique(np.linspace(0, len(marker_s) - 1, _SAMPLES).astype(int))
-    at_s, at_m = marker_s[sample], marker_m[sample]
-
-    def relative_variance(shifts_s: FloatArray) -> FloatArray:
-        """Variance of marker minus gripper over the gripper's, while both are known; per shift."""
-        then_s = at_s - shifts_s[:, None]
-        overlap = (then_s >= hand_s[0]) & (then_s <= hand_s[-1])
-        path = np.stack([np.interp(then_s, hand_s, hand_m[:, k]) for k in range(2)], axis=-1)
-        shares = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), 1)
-        ratio = _variance(at_m - path, shares) / (_variance(path, shares) + 2e-12)
-        return np.where(overlap.sum(axis=1) < 4, np.inf, ratio)
-
-    candidates = np.linspace(low, high, _SHIFTS)
-    values = relative_variance(candidates)
-    best = int(np.argmin(values))
-    if not np.isfinite(values[best]) or values[best] > 0.5:
-        return None
-    step = candidates[1] - candidates[0]
-    bounds = candidates[best] - 2.0 * step, candidates[best] + 2.0 * step
-    minimum = minimize_scalar(
-        lambda shift_s: relative_variance(np.array([shift_s]))[0],
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": 1e-5},
-    )
-    return float(minimum.x)
-
-
-def _variance(xy_m: FloatArray, shares: FloatArray) -> FloatArray:
-    """Sum of the variances of x and y, each row with shares that sum to 1."""
-    mean_m = np.einsum("st,stk->sk", shares, xy_m)
-    return np.asarray(np.einsum("st,stk->s", shares, (xy_m - mean_m[:, None]) ** 2))
+    """Offset of the gripper's clock by the motion of a point that follows it, s; None = unknown."""
+    aligned = align(hand_s, hand_m, marker_s, marker_m)
+    return None if aligned is None else aligned.shift_s

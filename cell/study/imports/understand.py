@@ -51,10 +51,11 @@ from cell.study.imports.plane_chain import (
     shapes_of,
 )
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
-from cell.study.imports.shape import rest_rows
+from cell.study.imports.shape import arc_lengths, rest_rows
 from cell.study.imports.stated import Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
-from cell.study.imports.trials import Files, trial_entries
+from cell.study.imports.trials import Files, origin_by_clamp, stroke_gain, trial_entries
+from cell.study.imports.units import METRES
 
 #: Minimum downward component of a second coordinate that runs down, as in an image.
 _DOWN = 0.5
@@ -64,6 +65,9 @@ _AT_GRIPPER = 0.005
 _ACROSS = 0.2
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
+#: Maximum number of scales tried, as the root depends on them; tolerance of the last, and of a unit
+#: that has a name.
+_MOST_SCALES, _SAME_GAIN, _NAMED_UNIT = 6, 2e-3, 0.1
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,35 @@ class Understanding:
 
 def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     """Propose a mapping.  Raises InputError: a file has no points or no gripper, or is
-    disordered."""
+    disordered.
+
+    Where the markers' unit is not stated, the gripper's stroke in its own file fixes it.
+    """
+    proposed, gain = _proposed(trials, stated, None)
+    first, unit = proposed, proposed.mapping.metres_per_unit
+    named = any(f.entry == "metres_per_unit" and f.sure is Sure.SHOWN for f in first.findings)
+    if gain is None or unit is None or (named and abs(gain - 1.0) < _NAMED_UNIT):
+        return first
+    for _ in range(_MOST_SCALES):
+        unit /= gain
+        proposed, gain = _proposed(trials, stated, unit)
+        arc_m = proposed.mapping.markers[0].arc_length_m
+        if gain is None or arc_m is None or arc_m < -TIP * (stated.free_length_m or 0.0):
+            break
+        if abs(gain - 1.0) < _SAME_GAIN:
+            return proposed
+    sentence = f"by the gripper's stroke a unit is {unit:.4g} m, for which the free length is wrong"
+    against = Finding("metres_per_unit", sentence, Sure.GUESSED)
+    return replace(first, findings=(*first.findings, against))
+
+
+def _proposed(
+    trials: Sequence[Files], stated: Stated, by_stroke: float | None
+) -> tuple[Understanding, float | None]:
+    """A proposal, and the motion of the root over the gripper's; None = unit stated, or unknown.
+
+    by_stroke  metres a unit of the markers; None = by what the file states or the free length
+    """
     findings = ImportFindings()
     trials = named_alike(by_rows(trials, findings), findings)
     first = trials[0]
@@ -89,28 +121,27 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
     elsewhere = gripper is not None or inside.has_gripper_sensor
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
-    if first.joined_files:
-        joined = first_of([Path(name).name for name in first.joined_files], 8)
-        sentence = f"{Path(first.file).name} and {joined} are of one recording: "
-        findings.guessed("trials", f"{sentence}they are taken as one motion's")
+    _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
     time, finding = time_section(first.capture, inside, stated.rate_hz)
     findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
-    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
+    start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
+    points = [*([start] if start else []), *chosen.markers]
     raw = detected_points(first.capture, points, chosen)
     shape, units = shape_at_rest(raw), {p.unit for p in points}
     rest = None
-    if gripper is not None and len(raw[rest_rows(raw)]):
+    if gripper is not None and start is None and len(raw[rest_rows(raw)]):
         rest = first_point(gripper, shape, units, stated.free_length_m)
     shape = shape if rest is None else np.vstack([rest, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
-    scale, finding = metres_per_unit(units, extent, stated.free_length_m)
+    scale, finding = metres_per_unit(units, extent, stated.free_length_m, by_stroke)
     others = [s for s in shapes_of(trials[1:], points, chosen) if np.isfinite(s).all()]
+    is_stated = by_stroke is None and finding.sure not in (Sure.SHOWN, Sure.GUESSED)
     axes, of_axes = find_axes(raw, shape, others)
     findings += [_of_image(finding, axes, raw), *of_axes]
-    scene = scene_of(raw, axes, scale or 1.0, rest, chosen.gripper is not None)
+    scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     known_rest = rest is not None and scene.from_gripper
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     chain_m = chain_from(scene.xy_m, scene.shape[0] if known_rest else None)
@@ -125,7 +156,7 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         hand = section_of_file(gripper, axes, root, scale, nearest, lasts_s, findings)
     else:
         hand = _gripper(first.capture, chosen, axes, scene, arcs, roots, findings)
-    if gripper is not None and rest is None:
+    if gripper is not None and rest is None and start is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
     rest_root = root_at_rest(scene, arcs)
     hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, rest_root, findings)
@@ -139,21 +170,25 @@ def understand(trials: Sequence[Files], stated: Stated) -> Understanding:
         lost=chosen.lost,
         axes=axes,
         hand=hand,
-        markers=[
-            MarkerEntry(
-                name=p.name, columns=list(p.columns), arc_length_m=arc, arc_length_std_m=std
-            )
-            for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
-        ],
+        markers=_marker_entries(chosen, arcs, stds),
         trials=[_trial(t) for t in trials],
     )
-    entries = trial_entries(trials, mapping, stated.rate_hz, findings)
+    mapping = _with_origin_by_clamp(mapping, first, start, findings)
+    entries = trial_entries(trials, mapping, stated.rate_hz, findings, chosen.clamp)
+    gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
     _add_unused(inside, chosen, hand, first.capture, findings)
-    return Understanding(
-        mapping.model_copy(update={"trials": entries, "markers": markers}), tuple(findings)
-    )
+    mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
+    return Understanding(mapping, tuple(findings)), gain
+
+
+def _add_joined(files: Files, findings: ImportFindings) -> None:
+    """Add a finding on files that are joined to a trial's first."""
+    if files.joined_files:
+        joined = first_of([Path(name).name for name in files.joined_files], 8)
+        sentence = f"{Path(files.file).name} and {joined} are of one recording: "
+        findings.guessed("trials", f"{sentence}they are taken as one motion's")
 
 
 def _duration_s(capture: Capture, time: TimeSection) -> float | None:
@@ -226,6 +261,15 @@ def _arcs(
         sentence += f"{chosen.markers[-1].name!r}, has no marker, by --free-length"
         findings.guessed("cable.free_length_m", sentence)
     return list(arcs)
+
+
+def _marker_entries(
+    chosen: Chosen, arcs: Sequence[float | None], stds: Sequence[float | None]
+) -> list[MarkerEntry]:
+    return [
+        MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=arc, arc_length_std_m=std)
+        for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
+    ]
 
 
 def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
@@ -315,7 +359,7 @@ def _nearest(
 
     point  the gripping point, in files of their own
     """
-    marker, best, moves = chosen.markers[0], None, []
+    marker, best, moves = chosen.clamp or chosen.markers[0], None, []
     for files in trials:
         usable = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
         if not usable or not set(marker.columns) <= set(files.capture.names):
@@ -327,6 +371,47 @@ def _nearest(
         if best is None or reach(hand) > reach(best[0]):
             best = hand, xy_m
     return None if best is None else NearestMarker(*best, tuple(moves))
+
+
+def _clamp(
+    capture: Capture,
+    chosen: Chosen,
+    gripper: GripperFile | None,
+    stated: Stated,
+    findings: ImportFindings,
+) -> Point | None:
+    """The point of the markers' file that is the gripping point of another file; None = none is.
+
+    From it to the tip the chain is no longer than the cable.
+    """
+    clamp = chosen.clamp
+    if clamp is None or gripper is None or gripper.point is None:
+        return None
+    sentence = f"{clamp.name!r} of {capture.path.name} is on the gripper: it shows the clock of "
+    findings.shown("hand", f"{sentence}{gripper.capture.path.name}")
+    shape = shape_at_rest(detected_points(capture, (clamp, *chosen.markers), chosen))
+    chain_m = METRES.get(clamp.unit, 0.0) * float(arc_lengths(shape[None])[-1])
+    longest_m = (1.0 + TIP) * (stated.free_length_m or np.inf)
+    return None if chain_m > longest_m else clamp
+
+
+def _with_origin_by_clamp(
+    mapping: Mapping, files: Files, clamp: Point | None, findings: ImportFindings
+) -> Mapping:
+    """The mapping with the origin of the gripper's positions, by a point in the markers' file."""
+    times = mapping.time, mapping.hand.time or mapping.time
+    known = mapping.metres_per_unit is not None and all(t.seconds_per_unit for t in times)
+    if clamp is None or files.gripper is None or not known:
+        return mapping
+    origin_m = origin_by_clamp(files, mapping, clamp)
+    length_m = mapping.cable.free_length_m or 0.0
+    if origin_m is None or float(np.hypot(*origin_m)) < _AT_GRIPPER * length_m:
+        return mapping
+    x_m, y_m = (round(float(v), 5) for v in origin_m)
+    sentence = f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that "
+    findings.guessed("hand.origin_m", f"{sentence}they are those of {clamp.name!r}")
+    hand = mapping.hand.model_copy(update={"origin_m": (x_m, y_m)})
+    return mapping.model_copy(update={"hand": hand})
 
 
 def _with_origin(
@@ -387,7 +472,9 @@ def _add_unused(
     findings: ImportFindings,
 ) -> None:
     """Add a finding on columns that are not used."""
-    points = [p for p in (*chosen.markers, chosen.gripper, chosen.second) if p is not None]
+    points = [
+        p for p in (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp) if p is not None
+    ]
     used = {n for p in points for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
     of_angle = {hand.angle.column, *(hand.angle.rotation or ())}

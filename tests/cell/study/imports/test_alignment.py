@@ -1,0 +1,129 @@
+"""A gripper with a file of its own: its clock, origin and scale by what both files show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from cell.study.folder import read_study
+from cell.study.imports.alignment import GripperTrack, align, align_root
+from cell.study.imports.mapping import Mapping, read_mapping
+from tests.cell.study.imports.corpus.swing import ARCS_M, Swing, straight_study, stroke, swing
+from tests.cell.study.imports.corpus.text import cells as digits
+from tests.cell.study.imports.corpus.text import lines as text
+from tests.cell.study.imports.corpus.text import saved
+from tests.cell.study.imports.made import CABLE, run
+
+#: The robot's clock is behind by this, and its base is here, in the markers' frame.
+BEHIND_S, BASE_M = 8569.0312, np.array([0.4, -0.2])
+
+
+def camera(s: Swing, folder: Path, unit: str, per_m: float, *, clamp: bool) -> Path:
+    """Markers in the camera's frame, whose rows count down if no unit is stated."""
+    points = np.concatenate([s.gripper_m[:, None], s.markers_m], axis=1)[:, not clamp :]
+    names = [*(["clamp"] if clamp else []), *(f"p{i}" for i in range(1, 6))]
+    down = np.array([1.0, 1.0 if unit else -1.0])
+    values = (points * down + [0.3, 0.3]) * per_m
+    table = np.column_stack([s.t_s, values.reshape(len(s.t_s), -1)])
+    columns = ["t [s]", *(f"{n}_{a}{unit}" for n in names for a in "xy")]
+    return saved(folder / "camera.csv", text([columns, *digits(table, 7)]))
+
+
+def robot(s: Swing, folder: Path, unit: str, per_m: float, behind_s: float) -> Path:
+    """The gripper at 250 rows a second, from 0.2 s before the markers to 0.2 s after."""
+    t_s = np.arange(s.t_s[0] - 0.2, s.t_s[-1] + 0.2, 0.004)
+    path = np.column_stack([np.interp(t_s, s.t_s, v) for v in (s.gripper_m - BASE_M).T])
+    values = np.column_stack([t_s + behind_s, path[:, 0], 0.0 * t_s, path[:, 1]])
+    values[:, 1:] *= per_m
+    columns = ["time [s]", *(f"tcp_{a}{unit}" for a in "xyz")]
+    return saved(folder / "robot.csv", text([columns, *digits(values, 7)]))
+
+
+def proposed(folder: Path, markers: Path, hand: Path, *more: str) -> tuple[str, Mapping]:
+    said = run(markers, "--hand", hand, "-o", folder / "s", *CABLE, *more)
+    return said, read_mapping(folder / "s" / "import.yaml").mapping
+
+
+def test_a_point_of_the_gripper_shows_clock_and_origin(tmp_path: Path) -> None:
+    """The clamp's columns were not used, and the clock was 2.8 ms early."""
+    s = straight_study()[0]
+    files = camera(s, tmp_path, "_mm", 1e3, clamp=True), robot(s, tmp_path, "_m", 1.0, -BEHIND_S)
+    said, mapping = proposed(tmp_path, *files)
+    assert "'clamp' of camera.csv is on the gripper" in said
+    assert mapping.trials[0].clock_offset_s == pytest.approx(BEHIND_S, abs=2e-4)
+    assert f"+{mapping.trials[0].clock_offset_s:.4f} s ± 0.0" in said
+    assert mapping.hand.origin_m == pytest.approx(BASE_M + 0.3, abs=5e-5)
+    assert [m.arc_length_m for m in mapping.markers] == pytest.approx(ARCS_M, abs=3e-4)
+
+
+def test_the_strokes_unit_fixes_the_scale_of_pixels(tmp_path: Path) -> None:
+    """The markers, which end 20 mm from the clamp, were stretched over the free length."""
+    s = straight_study()[0]
+    files = camera(s, tmp_path, "", 4000.0, clamp=False), robot(s, tmp_path, "", 1e3, -BEHIND_S)
+    said, mapping = proposed(tmp_path, *files)
+    assert "by the gripper's stroke in its own file" in said
+    assert "in mm it moves by 0.05 m" in said
+    assert mapping.metres_per_unit == pytest.approx(1.0 / 4000.0, rel=0.01)
+    assert mapping.hand.metres_per_unit == 1e-3
+    assert [m.arc_length_m for m in mapping.markers] == pytest.approx(ARCS_M, abs=1e-3)
+    assert mapping.trials[0].start == "equilibrium"
+    assert mapping.trials[0].clock_offset_s == pytest.approx(BEHIND_S, abs=2e-3)
+
+
+def test_a_stale_origin_is_refused_and_null_estimates_it(tmp_path: Path) -> None:
+    """With corrected arc lengths, the gripper was 28 mm beside the cable; no remedy was taken."""
+    s = straight_study()[0]
+    files = camera(s, tmp_path, "_mm", 1e3, clamp=False), robot(s, tmp_path, "_m", 1.0, 0.0)
+    _, mapping = proposed(tmp_path, *files)
+    right = np.array(mapping.hand.origin_m)
+    file, yaml = tmp_path / "s" / "import.yaml", YAML(typ="safe")
+    data = yaml.load(file.read_text())
+    for stale in ((right + np.array([-0.019, 0.004])).tolist(), [0.0, 0.0]):
+        data["hand"]["origin_m"] = stale
+        with file.open("w") as stream:
+            yaml.dump(data, stream)
+        said = run(file, code=2)
+        assert "hand.origin_m: puts the gripper of camera at [" in said
+        assert "give null to have it estimated" in said
+    data["hand"]["origin_m"] = None
+    with file.open("w") as stream:
+        yaml.dump(data, stream)
+    assert "hand.origin_m is estimated as [" in run(file)
+    grip = read_study(tmp_path / "s").trials[0].grip
+    np.testing.assert_allclose([grip.x_m[0], grip.y_m[0]], [0.3, 0.3], atol=2e-3)
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.3])
+def test_the_clamped_root_shows_the_clock_within_its_uncertainty(turns: float) -> None:
+    """Without the clamp's slope the cable's inertia made the gripper's clock early."""
+    t_s = np.arange(0.0, 1.8, 1.0 / 90.0)
+    way, errors = stroke(t_s), []
+    for seed in range(6):
+        s = swing("s", np.outer(way, [0.0, -0.05]), 0.2 + turns * way, seed, t_s, 1e-4)
+        leaves = -np.column_stack([np.cos(s.angle_rad), np.sin(s.angle_rad)])
+        hand = GripperTrack(t_s + 1.7e9, s.gripper_m, leaves)
+        aligned = align_root(hand, t_s, s.markers_m, ARCS_M.tolist())
+        assert aligned is not None
+        error_s = aligned.shift_s + 1.7e9
+        assert abs(error_s) < 4.0 * aligned.std_s < 4e-3
+        errors.append(error_s)
+        scaled = align_root(hand, t_s, s.markers_m, ARCS_M.tolist(), free_gain=True)
+        assert scaled is not None
+        assert scaled.gain == pytest.approx(1.0, rel=0.01)
+    assert abs(np.mean(errors)) < 5e-4
+
+
+def test_one_point_in_two_files_is_aligned_to_a_fraction_of_a_row() -> None:
+    t_s = np.arange(0.0, 2.0, 1.0 / 90.0)
+    path = np.outer(stroke(t_s), [0.01, -0.05])
+    fine_s = np.arange(-0.5, 2.5, 0.002)
+    fine = np.outer(stroke(fine_s), [0.01, -0.05])
+    noise = np.random.default_rng(3).normal(0.0, 1.5e-4, path.shape)
+    aligned = align(fine_s + 1.7e9 + 0.0123, fine, t_s, path + noise + [1.0, 2.0])
+    assert aligned is not None
+    assert aligned.shift_s + 1.7e9 + 0.0123 == pytest.approx(0.0, abs=4.0 * aligned.std_s)
+    assert aligned.std_s < 3e-4
+    np.testing.assert_allclose(aligned.offset_m, [1.0, 2.0], atol=1e-4)
