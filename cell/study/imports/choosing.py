@@ -99,27 +99,7 @@ def choose(
             findings.guessed("hand", sentence)
     if hand is None and not hand_elsewhere:
         _check_not_single(capture, cable, others)
-        order = from_end(cable, raw)
-        behind = _count_behind(order, raw, free_length_m)
-        second = order[behind - 1] if behind else None
-        end, *order = order[behind:]
-        sentence = f"no point is named after a gripper: {end.name!r}"
-        swings = 0.0 if second else _swing_share(raw[end.name], raw[order[-1].name])
-        if swings:
-            sentence += f", the end of the chain that moves least, swings by {swings:.1%} of the "
-            sentence += "tip's motion at the end of the record: it is a point of the cable. Name "
-            sentence += "the gripping point's columns gripper_x and gripper_y, or give its file "
-            sentence += "with --hand; if it is this point, name its columns in hand.columns"
-            findings.missing("hand", sentence)
-            order = [end, *order]
-        elif second is None:
-            sentence += ", the end of the chain that rests first, is the gripping point"
-            findings.guessed("hand", sentence)
-        else:
-            sentence += f" is the gripping point, for {second.name!r} moves with it as one body, "
-            sentence += "and from it to the tip the markers span the free length"
-            findings.guessed("hand", sentence)
-        hand = None if swings else end
+        order, hand, second = _of_chain(from_end(cable, raw), raw, free_length_m, findings)
     elif hand is None and clamp is None:
         order = from_end(cable, raw)
         if behind := _count_on_gripper(order, raw, free_length_m):
@@ -137,6 +117,37 @@ def choose(
         f"from the gripper to the tip the markers are {names}, each nearest to the one before",
     )
     return Chosen(tuple(order), hand, second, lost, clamp)
+
+
+def _of_chain(
+    order: list[Point],
+    raw: dict[str, FloatArray],
+    free_length_m: float | None,
+    findings: ImportFindings,
+) -> tuple[list[Point], Point | None, Point | None]:
+    """The cable's points of a chain, the gripping point at its end, and a second one behind that.
+
+    None = there is none: the chain's end swings with the tip.
+    """
+    behind = _count_behind(order, raw, free_length_m)
+    second = order[behind - 1] if behind else None
+    hand, *cable = order[behind:]
+    sentence = f"no point is named after a gripper: {hand.name!r}"
+    if second is not None:
+        sentence += f" is the gripping point, for {second.name!r} moves with it as one body, "
+        sentence += "and from it to the tip the markers span the free length"
+        findings.guessed("hand", sentence)
+    elif share := _swing_share(raw[hand.name], raw[cable[-1].name]):
+        sentence += f", the end of the chain that moves least, swings by {share:.1%} of the "
+        sentence += "tip's motion at the end of the record: it is a point of the cable. Name "
+        sentence += "the gripping point's columns gripper_x and gripper_y, or give its file "
+        sentence += "with --hand; if it is this point, name its columns in hand.columns"
+        findings.missing("hand", sentence)
+        return order, None, None
+    else:
+        sentence += ", the end of the chain that rests first, is the gripping point"
+        findings.guessed("hand", sentence)
+    return cable, hand, second
 
 
 #: Tolerances of one cable's chain length and of its pieces between trials, and fewest pieces.
