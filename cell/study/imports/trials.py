@@ -430,11 +430,3 @@ def _start(
     sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper {gripper}: let go (start "
     findings.guessed("trials.start", f"{sentence}held)")
     return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}
-
-
-def clock_shift_s(
-    hand_s: FloatArray, hand_m: FloatArray, marker_s: FloatArray, marker_m: FloatArray
-) -> float | None:
-    """Offset of the gripper's clock by the motion of a point that follows it, s; None = unknown."""
-    aligned = align(hand_s, hand_m, marker_s, marker_m)
-    return None if aligned is None else aligned.shift_s

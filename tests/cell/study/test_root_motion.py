@@ -11,7 +11,7 @@ import pytest
 from cell.cable.geometry import Motion
 from cell.study.data import HandDrift, Markers, Trial
 from cell.study.facts import TrialFacts, trial_facts
-from cell.study.imports.trials import clock_shift_s
+from cell.study.imports.alignment import align
 from cell.study.record_checks import oddities
 from cell.study.rest_shape import ClampedEnd
 from cell.study.root_motion import root_motion, root_places_m
@@ -107,10 +107,9 @@ def test_the_root_shows_the_clock_and_a_marker_away_from_it_does_not() -> None:
     xy_m = trial.markers.xy_m[:, order]
     path_m = np.column_stack([trial.grip.x_m, trial.grip.y_m])
     root_m = root_places_m(xy_m, ARC_M[order])
-    shifts_s = [
-        clock_shift_s(trial.grip.t_s, path_m, trial.markers.t_s, at_m)
-        for at_m in (root_m, xy_m[:, 1])
-    ]
-    assert None not in shifts_s
-    of_root_s, of_marker_s = map(abs, shifts_s)
+    of_root, of_marker = (
+        align(trial.grip.t_s, path_m, trial.markers.t_s, at_m) for at_m in (root_m, xy_m[:, 1])
+    )
+    assert of_root is not None and of_marker is not None
+    of_root_s, of_marker_s = abs(of_root.shift_s), abs(of_marker.shift_s)
     assert of_root_s < 1e-3 < 2.0 * of_marker_s
