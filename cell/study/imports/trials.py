@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping as Dictionary
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,11 +48,6 @@ class Files:
         """Whether markers and gripper are parts of one file, which one program wrote."""
         container = self.file.partition(PART)[0]
         return PART in self.file and (self.gripper_file or "").partition(PART)[0] == container
-
-
-def trial_names(files: Sequence[Path]) -> list[str]:
-    """Unique names of trials, from the names of their files."""
-    return unique_names([file.stem for file in files])
 
 
 def unique_names(labels: Sequence[str]) -> list[str]:
