@@ -7,6 +7,7 @@ from collections.abc import Mapping as Dictionary
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
+from unicodedata import combining, normalize
 
 import numpy as np
 
@@ -54,6 +55,7 @@ def unique_names(labels: Sequence[str]) -> list[str]:
     """Unique names of trials, made from labels."""
     names: list[str] = []
     for label in labels:
+        label = "".join(c for c in normalize("NFKD", label) if not combining(c))  # ä → a
         name = re.sub(r"[^A-Za-z0-9_.-]+", "_", label).strip("_.-") or "trial"
         number = 2
         unique = name

@@ -11,6 +11,7 @@ import pytest
 from cell.study.folder import read_study
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.mapping import read_mapping
+from cell.study.imports.trials import unique_names
 from tests.cell.study.imports.corpus.swing import RATE_HZ
 from tests.cell.study.imports.corpus.text import nexus
 from tests.cell.study.imports.made import CABLE, digits, made, run, text, two_files, wide_metres
@@ -31,6 +32,11 @@ def at_rate(file: str, rate_hz: float) -> str:
     lines[1] = f"{rate_hz:g}"
     Path(file).write_text("\n".join(lines) + "\n")
     return file
+
+
+def test_a_trial_is_named_in_plain_letters_after_its_file() -> None:
+    labels = ["mätning 1", "mätning_1", "Øre", "%"]
+    assert unique_names(labels) == ["matning_1", "matning_1_2", "re", "trial"]
 
 
 def test_each_file_goes_by_the_rate_that_it_states(tmp_path: Path) -> None:
