@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.effects import Effect, file_sha256, library, load_effect, unscreened
+from cell.cable.effects import (
+    Effect,
+    effect_path,
+    file_sha256,
+    library,
+    load_effect,
+    unscreened,
+)
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.identify.parameters import ParameterSpace, Prior
 
@@ -141,9 +148,7 @@ def effect_from(source: str) -> type[Effect]:
     """
     if not source.endswith(".py"):
         return known_effects()[source]
-    file = Path(source).resolve()
-    if not file.is_file():
-        raise FileNotFoundError(f"{source}: no such effect file; give the path of a Python file")
+    file = effect_path(source)
     return _loaded(file, file_sha256(file))
 
 

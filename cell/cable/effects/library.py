@@ -51,9 +51,7 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
 
     raises   EffectError: with the file and line of the mistake; FileNotFoundError
     """
-    file = Path(path).resolve()
-    if not file.is_file():
-        raise FileNotFoundError(f"{path}: no such effect file; give the path of a Python file")
+    file = effect_path(path)
     if file.stat().st_size > MAX_BYTES:
         raise EffectError(file, 1, f"has more than {MAX_BYTES} bytes: is it an effect?")
     if is_confined(file):
@@ -174,6 +172,15 @@ def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> 
         raise EffectError(file, _line_of(error, file, effect), _short(error)) from error
     watch_hooks(effect, HOOKS)
     return effect
+
+
+def effect_path(path: str | Path) -> Path:
+    """The resolved path of an effect file.  Raises FileNotFoundError: it is none."""
+    file = Path(path).resolve()
+    if not file.is_file():
+        what = "is a folder, not an effect" if file.is_dir() else "no such effect"
+        raise FileNotFoundError(f"{path}: {what} file; give the path of a Python file")
+    return file
 
 
 def file_sha256(path: Path) -> str:

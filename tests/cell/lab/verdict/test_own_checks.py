@@ -115,15 +115,25 @@ def test_candidates_of_a_folder_are_tried_and_the_others_are_named(tmp_path: Pat
         (folder / f"{name}.py").write_text(text)
     (folder / "twin.py").write_text((folder / "drag.py").read_text())
     (folder / "broken.py").write_text("x = 1\n")
+    (folder / "folder.py").mkdir()
+    (folder / "gone.py").symlink_to("nowhere.py")
     good, refused = candidates_in(folder)
     assert good == [str(folder / "drag.py")]
     said = "\n".join(refused)
-    assert len(refused) == 4
+    assert len(refused) == 6
     assert "bad.py:13: `open` is not allowed" in said
     assert "broken.py:1: must define exactly one subclass of Effect" in said
+    assert "folder.py:1: cannot be read: Is a directory" in said
+    assert "gone.py:1: cannot be read: No such file or directory" in said
     assert "endless.force takes more than" in said
     assert f"twin.py: is called 'drag' as {folder / 'drag.py'} is; rename one" in said
     assert not Path("x").exists()
     assert "drag" not in library()
-    with pytest.raises(ValueError, match="holds no effect"):
+    with pytest.raises(ValueError, match="none: no such folder"):
         candidates_in(tmp_path / "none")
+    with pytest.raises(ValueError, match="drag.py: is a file; give a folder"):
+        candidates_in(folder / "drag.py")
+    with pytest.raises(ValueError, match="holds no effect"):
+        candidates_in(folder / "folder.py")
+    with pytest.raises(FileNotFoundError, match="folder.py: is a folder, not an effect file"):
+        select_effects([], [str(folder / "folder.py")])
