@@ -65,7 +65,9 @@ def check_untrusted(path: Path) -> None:
     try:
         tree = ast.parse(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise EffectError(path, 1, f"cannot be read: {error.strerror}; mend or remove it") from error
+        raise EffectError(
+            path, 1, f"cannot be read: {error.strerror}; mend or remove it"
+        ) from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         cause = f"is not Python: {error}; mend that"
         raise EffectError(path, getattr(error, "lineno", None) or 1, cause) from error

@@ -131,9 +131,9 @@ def test_candidates_of_a_folder_are_tried_and_the_others_are_named(tmp_path: Pat
     assert "drag" not in library()
     with pytest.raises(ValueError, match="none: no such folder"):
         candidates_in(tmp_path / "none")
-    with pytest.raises(ValueError, match="drag.py: is a file; give a folder"):
+    with pytest.raises(ValueError, match=r"drag\.py: is a file; give a folder"):
         candidates_in(folder / "drag.py")
     with pytest.raises(ValueError, match="holds no effect"):
         candidates_in(folder / "folder.py")
-    with pytest.raises(FileNotFoundError, match="folder.py: is a folder, not an effect file"):
+    with pytest.raises(FileNotFoundError, match=r"folder\.py: is a folder, not an effect file"):
         select_effects([], [str(folder / "folder.py")])
