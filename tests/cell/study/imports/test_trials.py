@@ -123,8 +123,11 @@ def test_the_beginning_is_not_guessed_before_the_hand_s_times_are_known(tmp_path
     mapping.write_text(written.replace("seconds_per_unit: null", "seconds_per_unit: 0.005"))
     assert "let go" not in run(mapping)
     assert read_study(tmp_path / "s").trials[0].start == "equilibrium"
+    late = "start: held, release_s: 99,"
+    mapping.write_text(mapping.read_text().replace("start: equilibrium,", late))
+    assert "release_s: 99 s is outside the record" in run(mapping, "--force", code=2)
     held = "start: held, release_s: 0.4,"
-    mapping.write_text(mapping.read_text().replace("start: equilibrium,", held))
+    mapping.write_text(mapping.read_text().replace(late, held))
     said = run(mapping, "--force")
     assert "let go at 0.4 s, yet its gripper moves by 51 mm from 0.4" in said
     (note,) = read_study(tmp_path / "s").notes
