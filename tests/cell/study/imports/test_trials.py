@@ -151,3 +151,15 @@ def test_clocks_that_differ_are_refused_by_the_mapping_s_entries(
     if early_rows:
         mapping.write_text(written.replace("role: fit,", "role: fit, clock_offset_s: -0.4,"))
         run(mapping)
+
+
+def test_a_folder_without_pictures_names_its_tables(tmp_path: Path) -> None:
+    """Every folder was taken for a film."""
+    assert "give files of measurements" in run(tmp_path, "-o", tmp_path / "s", code=2)
+    for name in ("a.csv", "b.csv", "c.trc", "notes.doc"):
+        (tmp_path / name).touch()
+    said = run(tmp_path, "-o", tmp_path / "s", code=2)
+    assert f"{tmp_path}: is a folder without pictures" in said
+    assert f"give its files: {tmp_path}/*.csv {tmp_path}/*.trc" in said
+    (tmp_path / "0001.PNG").touch()
+    assert "a video needs --config and --hand" in run(tmp_path, "-o", tmp_path / "s", code=2)
