@@ -92,8 +92,8 @@ def _serve(at: ServeOptions, config: Path) -> None:
     if refused:
         raise ValueError(refused)
     token = "" if at.metrics_token is None else read_secret(at.metrics_token, "--metrics-token")
-    room = _room(config, at.runs, accounts if not loopback or len(accounts) else None)
     _check_address(at.host, at.port)
+    room = _room(config, at.runs, accounts if not loopback or len(accounts) else None)
     print(f"{'http' if tls is None else 'https'}://{at.host}:{at.port}", flush=True)
     serve_pages(room, accounts, (at.host, at.port), tls, token)
 

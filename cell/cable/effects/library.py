@@ -21,6 +21,7 @@ from cell.cable.effects.own import first_line, watch_hooks
 from cell.cable.effects.remote import is_confined, load_remote
 from cell.cable.effects.trial import COMPILING_S, try_effect
 from cell.computer.watched import PATIENCE_S, must_end
+from cell.files.words import error_text
 
 #: Largest size of an effect's file.
 MAX_BYTES = 100_000
@@ -148,7 +149,7 @@ def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> 
             if trace.tb_frame.f_code.co_filename == str(file):
                 line = trace.tb_lineno
             trace = trace.tb_next
-        cause = f"{type(error).__name__}: {error}: mend that"
+        cause = f"{error_text(error)}: mend that"
         raise EffectError(file, line, cause) from error
     effects = _effects_in(module)
     if len(effects) != 1:

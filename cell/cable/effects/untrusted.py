@@ -13,6 +13,7 @@ from types import GeneratorType
 import numpy as np
 
 from cell.cable.effects.base import EffectError
+from cell.files.words import error_text
 
 #: What of `cell.cable.effects` may be imported.
 _OURS = ("Bend", "CableData", "Effect", "HandMotion", "Parameter", "Place")
@@ -69,7 +70,7 @@ def check_untrusted(path: Path) -> None:
             path, 1, f"cannot be read: {error.strerror}; mend or remove it"
         ) from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        cause = f"is not Python: {error}; mend that"
+        cause = f"is not Python: {error_text(error)}; mend that"
         raise EffectError(path, getattr(error, "lineno", None) or 1, cause) from error
     modules: dict[str, str] = {}
     for node in ast.walk(tree):

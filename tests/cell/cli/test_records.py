@@ -230,3 +230,17 @@ def test_serve_checks_its_files_and_address_before_it_prints(tmp_path: Path) -> 
             assert (served.exit_code, served.stdout) == (2, "")
             assert says in served.stderr
             assert "Errno" not in served.stderr
+
+
+@pytest.mark.parametrize("option", ["--csv", "--parquet"])
+def test_a_table_of_cycles_is_not_written_to_the_standard_output(runs: Path, option: str) -> None:
+    """It was left out without a word."""
+    done = cell("history", "--runs", runs, "--json", option, "-")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert f"{option} -: give the name of a file" in done.stderr
+
+
+def test_a_promotion_takes_a_candidate_or_goes_back(tmp_path: Path) -> None:
+    for options, says in (((tmp_path, "--undo"), "--undo, not both\n"), ((), "--undo\n")):
+        done = cell("promote", "--config", CONFIG, *options)
+        assert (done.exit_code, done.stderr) == (2, f"give a candidate, or {says}")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.effects import library
+from cell.cable.effects import EffectError, library
 from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import candidates_in, select_effects
 from cell.lab.search.setup import fit_cache_of
@@ -137,3 +137,10 @@ def test_candidates_of_a_folder_are_tried_and_the_others_are_named(tmp_path: Pat
         candidates_in(folder / "folder.py")
     with pytest.raises(FileNotFoundError, match=r"folder\.py: is a folder, not an effect file"):
         select_effects([], [str(folder / "folder.py")])
+
+
+def test_an_error_without_a_message_is_named_by_its_kind(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("raise MemoryError\n")
+    with pytest.raises(EffectError, match=r"mine\.py:1: MemoryError: mend that"):
+        select_effects([], [str(file)])
