@@ -98,6 +98,8 @@ def save(path: Path, stored: StoredCalibration) -> None:
 def load(path: Path, kind: str) -> StoredCalibration:
     """A calibration of a given kind.  Raises CalibrationFileError, naming file, key and remedy."""
     remedy = f"run `cell calibrate {kind}`"
+    if path.is_dir():
+        raise CalibrationFileError(f"{path}: is a folder; remove it, then {remedy}")
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -19,7 +19,8 @@ import numpy as np
 from drivers.interfaces import CameraError, Clock, ConnectError, Frame, Image
 
 TIMES_FILE = "frames.csv"
-_SUFFIXES = frozenset({".png", ".bmp", ".tif", ".tiff", ".pgm", ".jpg", ".jpeg"})
+#: Suffixes of pictures.
+PICTURES = frozenset({".png", ".bmp", ".tif", ".tiff", ".pgm", ".jpg", ".jpeg"})
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class FilesCamera:
                 self.name, f"{times} is missing", "write it, or give the frame rate of the pictures"
             )
         else:
-            files = sorted(f for f in self._folder.iterdir() if f.suffix.lower() in _SUFFIXES)
+            files = sorted(f for f in self._folder.iterdir() if f.suffix.lower() in PICTURES)
             pictures = tuple(_Picture(f, i / self._default_rate_hz) for i, f in enumerate(files))
         if not pictures:
             raise ConnectError(self.name, f"{self._folder} holds no pictures", "give another one")

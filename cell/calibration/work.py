@@ -27,6 +27,7 @@ from cell.calibration.report import camera_report, cell_report, grip_report, tim
 from cell.calibration.session import CalibrationSession, opened
 from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError, Problem
+from cell.files.overwriting import check_output
 from cell.files.rescue import remedy, write_or_rescue
 from cell.settings import Settings
 from cell.settings.calibrated import (
@@ -113,6 +114,17 @@ class CalibrationJob:
             raise BrokenOffError(str(error)) from error
 
     # --- parts --------------------------------------------------------------------------------
+
+    def check_files(self, *parts: str) -> None:
+        """Check that the results can be written, before a motion.  Raises InputError."""
+        for file in (calibration_file(self._settings, part) for part in parts):
+            for path in (file, file.with_suffix(".html")):
+                try:
+                    check_output(path, force=True)
+                except ValueError as error:
+                    raise InputError.at(
+                        self._config, str(error), key="calibration.folder"
+                    ) from error
 
     def do(self, part: str, source: Path | None = None) -> StoredCalibration | None:
         """Calibrate `camera`, `cell`, `time` or `grip`, live or from a folder.

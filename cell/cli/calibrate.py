@@ -98,7 +98,9 @@ def everything(
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
     options = _Calibrate(config, seed, as_json, dialogue)
     with _workshop(options, product=product) as work:
-        for part in ("camera", "cell", "time", "grip"):
+        parts = ("camera", "cell", "time", "grip")
+        work.check_files(*parts)
+        for part in parts:
             work.do(part)
         _end(work, as_json)
 
@@ -193,6 +195,7 @@ def board(
 def _calibrate_part(part: str, options: _Part, product: str | None = None) -> None:
     live, gripped = options.source is None, part == "grip"
     with _workshop(options, live=live, product=product, gripped=gripped) as work:
+        work.check_files(part)
         if work.do(part, options.source) is None:
             raise typer.Exit(NOT_ALL_DONE)
         _end(work, options.as_json)

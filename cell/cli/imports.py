@@ -132,13 +132,15 @@ def _import_film(options: ImportOptions) -> NoReturn:
 
     with refusing(), working("import") as progress:
         out = _folder(options)
+        film = options.files[0]
+        if film.is_dir():
+            _check_pictures(film)
         if len(options.files) > 1 or options.config is None or not options.hand:
             raise ValueError(
                 "a video needs --config and --hand: how the camera sees, and where the gripper "
                 "was; give one video at a time"
             )
         check_new_study(out, force=options.force)
-        film = options.files[0]
         settings = load_settings(options.config)
         read = read_film(film, options.hand[0], options.rate, options.first_frame_s)
         out.mkdir(parents=True, exist_ok=True)
@@ -146,6 +148,19 @@ def _import_film(options: ImportOptions) -> NoReturn:
         check_output(recording, force=options.force)
         record_film(read, settings, options.config, recording, progress.step)
     _import_recordings(options, [recording])
+
+
+def _check_pictures(folder: Path) -> None:
+    """Raises ValueError: a folder holds no pictures; the message names its tables."""
+    from cell.study.imports.read import KINDS
+    from cell.wiring.filmed import holds_pictures
+
+    if not holds_pictures(folder):
+        suffixes = [file.suffix for file in sorted(folder.iterdir())]
+        tables = dict.fromkeys(s for s in suffixes if s.lower() in KINDS)
+        files = " ".join(f"{folder}/*{suffix}" for suffix in tables)
+        remedy = f"give its files: {files}" if files else "give files of measurements"
+        raise ValueError(f"{folder}: is a folder without pictures; {remedy}")
 
 
 def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoReturn:

@@ -16,7 +16,7 @@ import typer
 
 from cell.cli.arguments import taking
 from cell.cli.output import Delivery, deliver, print_json, show
-from cell.cli.shared import AsJson, Force, MaybeConfig, group, refusing, user_name
+from cell.cli.shared import STDOUT, AsJson, Force, MaybeConfig, group, refusing, user_name
 from cell.cli.streams import emit
 from cell.files.words import counted
 
@@ -110,6 +110,9 @@ class HistoryOptions:
         tables = {"--faults": self.faults, "--oee": self.oee, "--losses": self.losses}
         if len(listed := [name for name, wanted in tables.items() if wanted]) > 1:
             raise ValueError(f"{' and '.join(listed)} are different tables; give one of them")
+        for option, path in (("--csv", self.csv), ("--parquet", self.parquet)):
+            if path == STDOUT:
+                raise ValueError(f"{option} -: give the name of a file; --json alone prints data")
         if self.candidate is not None and not (self.losses and self.config):
             raise ValueError(
                 f"--candidate {self.candidate}: is for --losses, with the line's --config; add both"

@@ -288,7 +288,8 @@ def promote(
 
     with refusing():
         if undo == (candidate is not None):
-            raise ValueError("give a candidate, or --undo")
+            both = "" if candidate is None else ", not both"
+            raise ValueError(f"give a candidate, or --undo{both}")
         if candidate is None:
             entry = undo_last(config, load_product(config, product).product)
             print(f"{config}: the model is again that of {entry}")

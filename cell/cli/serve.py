@@ -32,7 +32,10 @@ class ServeOptions:
     """Where the pages are served, and with what."""
 
     context: typer.Context
-    config: MaybeConfig = None
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Settings of the cell, YAML; needed for the pages."),
+    ] = None
     runs: Runs = Path("runs")
     host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1"
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8080
@@ -71,8 +74,6 @@ def serve(options: ServeOptions) -> None:
 
 def _serve(at: ServeOptions, config: Path) -> None:
     """Serve until the end.  Raises ValueError, OSError: it cannot be done so."""
-    import socket
-
     from cell.files.atomic import read_secret
     from cell.plant.users import all_users
     from cell.web.guard import LOOPBACK
@@ -85,17 +86,49 @@ def _serve(at: ServeOptions, config: Path) -> None:
     if (at.certificate is None) != (at.key is None):
         raise ValueError("--certificate and --key go together; give both")
     tls = None if at.certificate is None or at.key is None else (at.certificate, at.key)
+    if tls is not None:
+        _check_certificate(*tls)
     refused = may_be_served(at.host, tls is not None, len(accounts), loopback)
     if refused:
         raise ValueError(refused)
     token = "" if at.metrics_token is None else read_secret(at.metrics_token, "--metrics-token")
+    _check_address(at.host, at.port)
     room = _room(config, at.runs, accounts if not loopback or len(accounts) else None)
-    family = socket.AF_INET6 if ":" in at.host else socket.AF_INET
-    with socket.socket(family) as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        tried.bind((at.host, at.port))
     print(f"{'http' if tls is None else 'https'}://{at.host}:{at.port}", flush=True)
     serve_pages(room, accounts, (at.host, at.port), tls, token)
+
+
+def _check_certificate(certificate: Path, key: Path) -> None:
+    """Raises ValueError: the two cannot be read, or do not belong together."""
+    import ssl
+
+    from cell.files.text_file import read_text
+
+    for file in (certificate, key):
+        read_text(file, 1_000_000)
+    try:
+        ssl.create_default_context().load_cert_chain(certificate, key, password=lambda: b"")
+    except OSError as error:
+        raise ValueError(
+            f"--certificate {certificate}, --key {key}: {error.strerror}; give a certificate and "
+            "its key without a passphrase, PEM"
+        ) from error
+
+
+def _check_address(host: str, port: int) -> None:
+    """Raises ValueError: this computer does not have the address, or it is taken."""
+    import socket
+
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind((host, port))
+    except OSError as error:
+        raise ValueError(
+            f"--host {host}, --port {port}: {error.strerror}; give another --port, or an address "
+            "of this computer"
+        ) from error
 
 
 def _room(config: Path, runs: Path, accounts: object) -> PagesContext:

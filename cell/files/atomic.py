@@ -134,8 +134,11 @@ def read_secret(path: Path, name: str) -> str:
     try:
         mode = path.stat().st_mode
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{name}: {path} cannot be read: {error}") from error
+    except OSError as error:
+        why = f"{error.strerror}; check the name and who may read it"
+        raise ValueError(f"{name}: {path} cannot be read: {why}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{name}: {path} is not UTF-8 text; save it as UTF-8") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ValueError(
             f"{name}: others may use {path} (mode {stat.S_IMODE(mode):o}); `chmod 600 {path}`"

@@ -42,11 +42,11 @@ class InputError(ValueError):
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """'; did you mean …?', comparing names with and without their unit; else all that are known."""
+    """'; did you mean …?', comparing names with and without their unit; else all known."""
     bare = {_UNITS.sub("", k): k for k in known}
     close = difflib.get_close_matches(name, known, 1, 0.6)
     if not close:
         close = [bare[b] for b in difflib.get_close_matches(_UNITS.sub("", name), bare, 1, 0.6)]
     if close:
         return f"; did you mean {close[0]!r}?"
-    return f"; use one of those known here: {', '.join(known)}"
+    return f"; use one of those known here: {', '.join(known)}" if known else "; remove it"

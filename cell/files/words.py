@@ -17,6 +17,11 @@ def counted(number: int, singular: str, several: str | None = None) -> str:
     return f"{number} {singular if number == 1 else several or f'{singular}s'}"
 
 
+def error_text(error: BaseException) -> str:
+    """`ValueError: too large`: kind and message of an exception; the kind alone if it has none."""
+    return f"{type(error).__name__}: {error}".removesuffix(": ")
+
+
 def first_of(texts: Sequence[str], most: int, joint: str = ", ") -> str:
     """The first `most` texts, joined, and the number of the others."""
     more = f" and {len(texts) - most} more" if len(texts) > most else ""

@@ -22,6 +22,7 @@ from ruamel.yaml.scanner import Scanner
 
 from cell.files.input_error import InputError, Problem, did_you_mean
 from cell.files.text_file import read_text
+from cell.files.words import counted
 
 Key = tuple[str | int, ...]
 #: Key and message of a complaint.
@@ -49,6 +50,13 @@ _IN_YAML = {
     "tuple_type": "must be a list, [a, b, …]",
     "string_type": "must be a text; write it in quotes",
     "bool_type": "must be true or false",
+}
+
+#: Texts that are right without quotes, by the kind of mistake.
+_UNQUOTED = {
+    "float_type": re.compile(r"[-+]?\d+(\.\d*)?"),
+    "int_type": re.compile(r"[-+]?\d+"),
+    "bool_type": re.compile("true|false"),
 }
 
 #: Suffix of a key, factor to the smaller unit, message.
@@ -296,12 +304,20 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
         hint = "; write the number alone, its unit is in the key's name"
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
         hint = f"; write a decimal point, {value.replace(',', '.')}"
+    if isinstance(value, str) and kind in _UNQUOTED and _UNQUOTED[kind].fullmatch(value):
+        hint = "; write it without quotes"
     bound = next((context[name] for name in ("le", "lt", "ge", "gt") if name in context), None)
     if bound is not None and isinstance(value, int | float) and abs(value) > abs(float(bound)):
         limit = abs(float(bound))
         name = next((part for part in reversed(key) if isinstance(part, str)), "")
         hint = _mistaken_unit(name, abs(value), limit)
     message = _IN_YAML.get(kind, details["msg"][0].lower() + details["msg"][1:])
+    if kind in ("too_short", "too_long"):
+        least, most = (context.get(f"{end}_length") for end in ("min", "max"))
+        needed = f"at least {least}" if kind == "too_short" else f"at most {most}"
+        message = f"has {counted(len(value), 'item')}, needs {needed}"
+    if value is None:
+        return document.problem(key, "is empty; give a value")
     if isinstance(value, float) and not math.isfinite(value):
         message, hint = "must be a finite number", "; give one"
     return document.problem(key, f"{message}{shown and f' (got{shown[2:]})'}{hint}")
@@ -338,6 +354,10 @@ def _sections_with(schema: dict[str, Any], name: str) -> list[str]:
 
 
 def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
-    while "$ref" in node:
-        node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+    """The schema of an entry itself; of an optional section that of the section."""
+    while "$ref" in node or "anyOf" in node:
+        if "$ref" in node:
+            node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+        else:
+            node = next((one for one in node["anyOf"] if one.get("type") != "null"), {})
     return node

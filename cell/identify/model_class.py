@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.effects import Effect, file_sha256, library, load_effect, unscreened
+from cell.cable.effects import (
+    Effect,
+    effect_path,
+    file_sha256,
+    library,
+    load_effect,
+    unscreened,
+)
+from cell.cable.effects.base import after_number
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
 from cell.identify.parameters import ParameterSpace, Prior
 
@@ -87,6 +95,8 @@ def with_prior(
     unknown = [n for n in names if n not in space.names]
     if unknown:
         raise ValueError(f"no fitted parameters {unknown}; there are {list(space.names)}")
+    if twice := [n for i, n in enumerate(names) if n in names[:i]]:
+        raise ValueError(f"{twice[0]} is given twice; remove one, with its mean, row and column")
     spread = np.array(covariance, dtype=np.float64)
     if len(mean) != len(names) or spread.shape != (len(names), len(names)):
         raise ValueError(
@@ -100,7 +110,8 @@ def with_prior(
     for i, n, value in zip(index, names, mean, strict=True):
         low, high = space.natural(space.low)[i], space.natural(space.high)[i]
         if not low <= value <= high:
-            raise ValueError(f"{n} = {value:g} {space.units[i]}: must be {low:.3g} … {high:.3g}")
+            unit = after_number(space.units[i])
+            raise ValueError(f"{n} = {value:g}{unit}: must be {low:.3g} … {high:.3g}")
         natural[i] = value
     precision = space.precision.copy()
     precision[index, :] = 0.0
@@ -141,9 +152,7 @@ def effect_from(source: str) -> type[Effect]:
     """
     if not source.endswith(".py"):
         return known_effects()[source]
-    file = Path(source).resolve()
-    if not file.is_file():
-        raise FileNotFoundError(f"{source}: no such effect file; give the path of a Python file")
+    file = effect_path(source)
     return _loaded(file, file_sha256(file))
 
 

@@ -19,6 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
+from cell.files.words import error_text
 from cell.plant.messages import (
     COMMANDS,
     CommandReply,
@@ -178,7 +179,7 @@ class Link:
                 answer = self._too_old(request) or self._handler(request)
             except Exception as error:  # it must not end the cell, nor this thread
                 _LOG.exception("request %s", request)
-                reason = f"{type(error).__name__}: {error}"
+                reason = error_text(error)
                 answer = CommandReply(False, self.status().state, reason)
             then(answer)
 

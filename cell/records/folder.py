@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from cell.files.atomic import free_bytes, write_atomic
 from cell.files.input_error import InputError, Problem
 from cell.files.text_file import read_json_object
+from cell.files.words import error_text
 from cell.files.yaml_document import yaml_text
 from cell.records.result import Result
 from cell.study.data import Study
@@ -293,7 +294,7 @@ def _read_result(path: Path) -> Result | None:
     try:
         return None if data is None else Result.from_json(data)
     except (KeyError, TypeError, ValueError) as error:
-        message = f"is not a cycle's result ({type(error).__name__}: {error}); {_AS_WRITTEN}"
+        message = f"is not a cycle's result ({error_text(error)}); {_AS_WRITTEN}"
         raise InputError.at(path, message) from error
 
 

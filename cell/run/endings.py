@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from cell.files.words import error_text
 from cell.records.folder import RecordError
 from cell.records.result import Fault, Outcome, Result
 from cell.run.commands import InterruptedByCommandError
@@ -89,7 +90,7 @@ def fault_of(step: str, error: BaseException) -> tuple[Fault, MachineEvent]:
         case RecordError():
             remedy = "make room there, or mend the disk"
             return Fault(step, str(error), remedy=remedy, code="record"), MachineEvent.ABORT
-    return Fault(step, f"{type(error).__name__}: {error}", code="program"), MachineEvent.ABORT
+    return Fault(step, error_text(error), code="program"), MachineEvent.ABORT
 
 
 def unrecorded(devices: Devices, step: str, result: Result, error: RecordError) -> Result:

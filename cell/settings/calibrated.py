@@ -98,6 +98,9 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
     wanted, folder = settings.calibration, settings.calibration.folder
     problems: list[Problem] = []
     stored: dict[str, StoredCalibration] = {}
+    if folder.exists() and not folder.is_dir():
+        message = f"{folder}: is a file; give a folder"
+        raise InputError.at(config, message, key="calibration.folder") from NotADirectoryError()
     if not any((folder / f"{kind}.yaml").exists() for kind in _NEEDED):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
         raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
@@ -142,12 +145,12 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
 def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:
     """Why a cell with these settings must be calibrated before it moves; empty = it need not.
 
-    raises  InputError: a file of the calibration exists, and is no calibration
+    raises  InputError: a file of the calibration exists, and is no calibration; its folder is none
     """
     try:
         calibrated(settings, config)
     except InputError as error:
-        if isinstance(error.__cause__, CalibrationFileError | KeyError):
+        if isinstance(error.__cause__, CalibrationFileError | KeyError | NotADirectoryError):
             raise
         files = {kind: calibration_file(settings, kind) for kind in (*_NEEDED, *_BESIDES)}
         for kind, path in files.items():

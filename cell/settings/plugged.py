@@ -18,6 +18,7 @@ from typing import Annotated, Any, get_args
 from pydantic import Field, create_model
 
 from cell.files.input_error import InputError, did_you_mean
+from cell.files.words import error_text
 from cell.files.yaml_document import Document, validate
 from cell.settings import devices
 from cell.settings.model import Settings
@@ -109,8 +110,7 @@ def _load(section: str, entry: EntryPoint) -> Any:
         driver = entry.load()
     except Exception as error:
         raise ValueError(
-            f"the package {package} does not load: {type(error).__name__}: {error}; "
-            "mend or remove it"
+            f"the package {package} does not load: {error_text(error)}; mend or remove it"
         ) from error
     base, interface = _BASES[section], _INTERFACES[section]
     wrong = f"{entry.value} of the package {package}"

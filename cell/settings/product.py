@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from re import _parser  # type: ignore[attr-defined]
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, JsonValue
@@ -14,13 +15,42 @@ from cell.settings.section import Section
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
+#: Limit of the ways in which a pattern may match: backtracking tries them all in a second or two.
+_MOST_WAYS = 10**8
+#: Counts of a repeat without an end; k of them split an id of 200 characters in some 100^k ways.
+_OPEN_ENDED = 100
+
+
 def pattern(text: str) -> str:
     """Validate a regular expression, and return it.  Raises ValueError."""
     try:
         re.compile(text)
-    except re.error as error:
-        raise ValueError(f"{text!r} is no pattern: {error}; A-\\d+ is one") from error
+        ways = _ways(_parser.parse(text))
+    except (re.error, OverflowError, RecursionError) as error:
+        raise ValueError(f"'{text}' is no pattern: {error}; A-\\d+ is one") from error
+    if ways > _MOST_WAYS:
+        raise ValueError(
+            f"'{text}' can match an id in more than {_MOST_WAYS:.0e} ways, which takes too long; "
+            "give no repeat within a repeat, and limit repeats, as in [A-Z]{1,3}-\\d{1,6}"
+        )
     return text
+
+
+def _ways(parsed: Iterable[tuple[Any, Any]]) -> int:
+    """Bound of the ways in which a parsed pattern can match, at most `_MOST_WAYS` + 1."""
+    ways = 1
+    for kind, what in parsed:
+        parts = what if isinstance(what, tuple) else (what,)
+        if kind is _parser.BRANCH:
+            parts = tuple(what[1])
+        inner = [_ways(part) for part in parts if isinstance(part, _parser.SubPattern)]
+        if "REPEAT" in str(kind):
+            low, high = (min(int(count), _OPEN_ENDED) for count in what[:2])
+            ways *= sum(inner[0] ** count for count in range(low, high + 1))
+        elif inner:  # alternatives, or one part
+            ways *= sum(inner)
+        ways = min(ways, _MOST_WAYS + 1)
+    return ways
 
 
 Overlay = dict[str, JsonValue]

@@ -107,6 +107,8 @@ def model_class_of(model: schema.ModelSettings) -> ModelClass:
     covariance = np.zeros((known + batch, known + batch))
     covariance[:known, :known] = np.diag(np.square(stds))
     if model.prior is not None:
+        if {len(model.prior.covariance), *map(len, model.prior.covariance)} != {batch}:
+            raise ValueError(f"covariance: needs {batch} rows of {batch} numbers, one per name")
         covariance[known:, known:] = model.prior.covariance
         names, means = names + model.prior.names, means + model.prior.mean
     return ModelClass(

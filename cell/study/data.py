@@ -119,6 +119,19 @@ class Trial:
         return np.column_stack([np.interp(t_s, grip.t_s, v) for v in (grip.x_m, grip.y_m)])
 
     @property
+    def release_complaint(self) -> str | None:
+        """Complaint that the cable is let go outside the record; None if it is not."""
+        if self.release_s is None:
+            return None
+        first_s, last_s = min(self.grip.t_s[0], self.markers.t_s[0]), self.markers.t_s[-1]
+        if first_s <= self.release_s <= last_s:
+            return None
+        return (
+            f"{self.release_s:g} s is outside the record, {first_s:g} … {last_s:g} s; give when "
+            "the cable is let go, on the clock of t_s, in seconds"
+        )
+
+    @property
     def bent(self) -> bool:
         """Whether the cable begins away from its equilibrium in an unknown shape."""
         return self.start in ("held", "moving")

@@ -146,11 +146,14 @@ def study_as_it_is(folder: Path) -> tuple[Study, list[Problem]]:
     sensor = WrenchSensor() if header.wrench is None else header.wrench.sensor()
     trials: list[Trial] = []
     notes: list[str] = []
-    for trial in header.trials:
+    for i, trial in enumerate(header.trials):
         try:
             read = _read_trial(folder / trial.name, trial, header, order)
         except InputError as error:
             problems.extend(error.problems)
+            continue
+        if (complaint := read.release_complaint) is not None:
+            problems.append(document.problem(("trials", i, "release_s"), complaint))
             continue
         refusals, odd = trial_problems(read, cable, arc_length_m[order], header.gravity_m_per_s2)
         problems += refusals
@@ -262,6 +265,8 @@ def check_study(study: Study) -> None:
         raise ValueError(message) from error
     count = len(study.arc_length_m)
     for trial in study.trials:
+        if (complaint := trial.release_complaint) is not None:
+            raise ValueError(f"trial {trial.name!r}: release_s: {complaint}")
         needed = (len(trial.markers.t_s), count, 2)
         if trial.markers.xy_m.shape != needed:
             raise ValueError(

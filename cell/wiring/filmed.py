@@ -24,7 +24,7 @@ from cell.settings.records import RecordingSettings
 from cell.settings.translate import pose_of
 from cell.study.folder import read_grip
 from cell.wiring.build import PATIENCE_S, cell_task, cell_with
-from drivers.files import FilesCamera, video_frames
+from drivers.files import PICTURES, FilesCamera, video_frames
 from drivers.interfaces import CameraError, ConnectError, Devices, Frame, Pose, Trajectory
 from drivers.replay import FilmedArm, ReplayCamera, ReplayGripper
 from drivers.sim.clock import SimClock
@@ -66,6 +66,11 @@ class RenderedFilm:
         """Where the gripper rests."""
         hand = self.gripper_log
         return Pose(float(hand.x_m[-1]), float(hand.y_m[-1]), float(hand.angle_rad[-1]))
+
+
+def holds_pictures(folder: Path) -> bool:
+    """Whether a folder can be a film."""
+    return any(file.suffix.lower() in PICTURES for file in folder.iterdir())
 
 
 def read_film(

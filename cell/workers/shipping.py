@@ -16,6 +16,7 @@ from typing import Any
 
 from cell.cable.effects import Effect, load_effect
 from cell.cable.effects.remote import confine_effects, is_remote
+from cell.files.words import error_text
 from cell.identify.model_class import ModelClass
 from cell.workers.executor import JobResult, WorkersError
 
@@ -130,7 +131,7 @@ def done(function: bytes, job: bytes) -> bytes:
             unpack(packed)  # fails for error classes with arguments of their own
     except Exception as unsendable:
         cause = unsendable if error is None else error
-        return pack((None, RuntimeError(f"{type(cause).__name__}: {cause}")))
+        return pack((None, RuntimeError(error_text(cause))))
     return packed
 
 

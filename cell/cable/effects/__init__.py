@@ -11,7 +11,7 @@ from cell.cable.effects.base import (
     Parameter,
     Place,
 )
-from cell.cable.effects.library import file_sha256, library, load_effect, unscreened
+from cell.cable.effects.library import effect_path, file_sha256, library, load_effect, unscreened
 
 __all__ = [
     "ActiveEffect",
@@ -23,6 +23,7 @@ __all__ = [
     "HandMotion",
     "Parameter",
     "Place",
+    "effect_path",
     "file_sha256",
     "library",
     "load_effect",

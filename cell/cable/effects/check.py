@@ -29,6 +29,7 @@ from cell.cable.effects.base import (
     Place,
 )
 from cell.computer.watched import PATIENCE_S
+from cell.files.words import error_text
 
 #: Arguments of every hook.
 HOOKS = {
@@ -252,7 +253,7 @@ def _placed(error: BaseException, effect: type[Effect], hook: str, path: Path) -
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if Path(f.filename) == path]
     line = own[-1].lineno if own else _line(effect, hook)
-    return EffectError(path, line or 0, f"{effect.name}.{hook}: {type(error).__name__}: {error}")
+    return EffectError(path, line or 0, f"{effect.name}.{hook}: {error_text(error)}")
 
 
 def _refuse(effect: type[Effect], hook: str, path: Path, cause: str) -> None:

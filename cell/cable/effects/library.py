@@ -21,6 +21,7 @@ from cell.cable.effects.own import first_line, watch_hooks
 from cell.cable.effects.remote import is_confined, load_remote
 from cell.cable.effects.trial import COMPILING_S, try_effect
 from cell.computer.watched import PATIENCE_S, must_end
+from cell.files.words import error_text
 
 #: Largest size of an effect's file.
 MAX_BYTES = 100_000
@@ -51,9 +52,7 @@ def load_effect(path: str | Path, *, trusted: bool = False) -> type[Effect]:
 
     raises   EffectError: with the file and line of the mistake; FileNotFoundError
     """
-    file = Path(path).resolve()
-    if not file.is_file():
-        raise FileNotFoundError(f"{path}: no such effect file; give the path of a Python file")
+    file = effect_path(path)
     if file.stat().st_size > MAX_BYTES:
         raise EffectError(file, 1, f"has more than {MAX_BYTES} bytes: is it an effect?")
     if is_confined(file):
@@ -150,7 +149,7 @@ def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> 
             if trace.tb_frame.f_code.co_filename == str(file):
                 line = trace.tb_lineno
             trace = trace.tb_next
-        cause = f"{type(error).__name__}: {error}: mend that"
+        cause = f"{error_text(error)}: mend that"
         raise EffectError(file, line, cause) from error
     effects = _effects_in(module)
     if len(effects) != 1:
@@ -174,6 +173,15 @@ def _loaded(file: Path, source: bytes, doing: Doing, *, alone: bool = False) -> 
         raise EffectError(file, _line_of(error, file, effect), _short(error)) from error
     watch_hooks(effect, HOOKS)
     return effect
+
+
+def effect_path(path: str | Path) -> Path:
+    """The resolved path of an effect file.  Raises FileNotFoundError: it is none."""
+    file = Path(path).resolve()
+    if not file.is_file():
+        what = "is a folder, not an effect" if file.is_dir() else "no such effect"
+        raise FileNotFoundError(f"{path}: {what} file; give the path of a Python file")
+    return file
 
 
 def file_sha256(path: Path) -> str:

@@ -15,6 +15,7 @@ from numba import typeof
 from cell.cable.effects.base import Effect, EffectError
 from cell.cable.effects.remote import is_remote, run_remote
 from cell.computer.watched import must_end
+from cell.files.words import error_text
 
 #: Hooks that run in every step, compiled.
 COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
@@ -85,5 +86,5 @@ def _at_work(own: tuple[type[Effect], ...], hook: str) -> Iterator[None]:
         except Exception as error:
             frames = traceback.extract_tb(error.__traceback__)
             lines = [f.lineno for f in frames if Path(f.filename) == path]
-            cause = f"{what}: {type(error).__name__}: {error}"
+            cause = f"{what}: {error_text(error)}"
             raise EffectError(path, (lines[-1] if lines else line) or line, cause) from error

@@ -13,6 +13,7 @@ from types import GeneratorType
 import numpy as np
 
 from cell.cable.effects.base import EffectError
+from cell.files.words import error_text
 
 #: What of `cell.cable.effects` may be imported.
 _OURS = ("Bend", "CableData", "Effect", "HandMotion", "Parameter", "Place")
@@ -64,8 +65,12 @@ def check_untrusted(path: Path) -> None:
     """
     try:
         tree = ast.parse(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise EffectError(
+            path, 1, f"cannot be read: {error.strerror}; mend or remove it"
+        ) from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        cause = f"is not Python: {error}; mend that"
+        cause = f"is not Python: {error_text(error)}; mend that"
         raise EffectError(path, getattr(error, "lineno", None) or 1, cause) from error
     modules: dict[str, str] = {}
     for node in ast.walk(tree):

@@ -19,6 +19,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.computer.watched import must_end
 from cell.files.input_error import InputError, Problem
+from cell.files.words import error_text
 from cell.lab.data.results import CheckResult, Doubt, Verdict
 from cell.study.data import Trial
 
@@ -192,7 +193,7 @@ class OwnCheck:
             frames = traceback.extract_tb(error.__traceback__)
             lines = [f.lineno for f in frames if Path(f.filename) == self.file]
             line = (lines[-1] if lines else None) or self.line
-            message = f"{type(error).__name__}: {error}; mend that"
+            message = f"{error_text(error)}; mend that"
             raise InputError([Problem(self.file, line, None, "statistic", message)]) from error
         if not np.isfinite(value):
             message = (
@@ -229,7 +230,7 @@ def _read(path: Path) -> OwnCheck:
         tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = getattr(error, "lineno", None) or 1
-        _refuse(path, line, "file", f"is not Python: {error}; mend that")
+        _refuse(path, line, "file", f"is not Python: {error_text(error)}; mend that")
     question = (ast.get_docstring(tree) or "").strip().splitlines()
     defined = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == "statistic"]
     if not question or not question[0].endswith("?"):
@@ -254,7 +255,7 @@ def _run(path: Path, source: str) -> Any:
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
                  if Path(f.filename) == path]  # fmt: skip
         line = (lines[-1] if lines else None) or 1
-        _refuse(path, line, "file", f"{type(error).__name__}: {error}; mend that")
+        _refuse(path, line, "file", f"{error_text(error)}; mend that")
     return module
 
 

@@ -72,6 +72,9 @@ def candidates_in(folder: Path, progress: Progress = no_progress) -> tuple[list[
     A file that could do more than compute is not run.  The others run in sandboxes, now and later.
     raises  ValueError: it is no folder, or holds no Python file
     """
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "no such folder"
+        raise ValueError(f"{folder}: {what}; give a folder with effect files (*.py)")
     files = sorted(folder.glob("*.py"))
     if not files:
         raise ValueError(f"{folder}: holds no effect (*.py); give a folder with effect files")

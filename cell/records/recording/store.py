@@ -15,6 +15,7 @@ from cell.files.atomic import write_atomic
 from cell.files.input_error import InputError
 from cell.files.rescue import NO_ROOM
 from cell.files.text_file import read_json_object
+from cell.files.words import error_text
 from cell.records.recording import form
 from drivers.installing import install_extra
 
@@ -173,7 +174,7 @@ def stored_of(folder: Path) -> Stored | None:
     try:
         return Stored(data["url"], int(data["bytes"]), data["sha256"], data["stored"])
     except (KeyError, TypeError, ValueError) as error:
-        message = f"does not say where the recording is ({type(error).__name__}: {error})"
+        message = f"does not say where the recording is ({error_text(error)})"
         raise InputError.at(path, message) from error
 
 

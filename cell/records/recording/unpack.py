@@ -12,6 +12,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError
+from cell.files.words import error_text
 from cell.files.yaml_document import yaml_text
 from cell.records.folder import FORMAT
 from cell.records.recording import form
@@ -118,7 +119,7 @@ def unpack(recording: Recording, into: Path) -> Path:
         try:
             write_study(study_from_plain(data), folder / "study", recorded=True)
         except (KeyError, TypeError, ValueError) as error:
-            message = f"{form.STUDY} is no study ({type(error).__name__}: {error})"
+            message = f"{form.STUDY} is no study ({error_text(error)})"
             raise InputError.at(recording.path, message) from error
     return folder
 

@@ -86,6 +86,9 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         except InputError as error:
             problems += error.problems
             continue
+        if (complaint := measured.trial.release_complaint) is not None:
+            problems.append(read.document.problem(("trials", i, "release_s"), complaint))
+            continue
         refusals, remarks = _check_trial(measured, cable, arcs[order], mapping.gravity_m_per_s2)
         problems += refusals
         notes += [*measured.notes, *remarks]

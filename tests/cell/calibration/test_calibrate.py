@@ -289,6 +289,23 @@ def test_a_device_that_fails_breaks_it_off_with_its_remedy(tmp_path, monkeypatch
     assert not (tmp_path / "calib" / "camera.yaml").exists()
 
 
+@pytest.mark.parametrize("part", [(), ("cell",)])
+def test_where_results_cannot_be_written_nothing_moves(tmp_path, monkeypatch, part):
+    def moved(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("cell.calibration.work.staged_devices", moved)
+    config, calib = settings_file(tmp_path), tmp_path / "calib"
+    calib.touch()
+    code, _, refused = called("calibrate", *part, "--config", config)
+    assert (code, "is no folder that may be changed" in refused) == (2, True)
+    calib.unlink()
+    (calib / "cell.yaml").mkdir(parents=True)
+    code, _, refused = called("calibrate", *part, "--config", config)
+    assert code == 2
+    assert f"calibration.folder: {calib / 'cell.yaml'}: is a folder" in refused
+
+
 def test_a_mistake_of_the_program_is_no_wrong_input(folder, monkeypatch):
     """It was told as one, without a traceback."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -211,3 +212,35 @@ def test_a_cycle_of_the_same_name_on_another_line_stays_open(tmp_path: Path) -> 
     assert acknowledge(tmp_path / "line4" / NAME) == "0 "
     assert [c.line for c in ledger.listed(LedgerQuery(fault="", acknowledged=False))] == ["line3"]
     ledger.close()
+
+
+def test_serve_checks_its_files_and_address_before_it_prints(tmp_path: Path) -> None:
+    pem, nix = tmp_path / "a.pem", tmp_path / "nix"
+    pem.write_text("no certificate")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        for options, says in (
+            (("--certificate", nix, "--key", nix), f"{nix}:1:1: cannot be read: No such file"),
+            (("--certificate", pem, "--key", pem), f"--certificate {pem}, --key {pem}: "),
+            (("--metrics-token", nix), f"--metrics-token: {nix} cannot be read: No such file"),
+            ((), f"--port {port}: Address already in use; give another --port"),
+            (("--host", "192.0.2.1"), "--host 192.0.2.1: beyond loopback TLS is needed"),
+        ):
+            served = cell("serve", "--config", CONFIG, "--runs", tmp_path, "--port", port, *options)
+            assert (served.exit_code, served.stdout) == (2, "")
+            assert says in served.stderr
+            assert "Errno" not in served.stderr
+
+
+@pytest.mark.parametrize("option", ["--csv", "--parquet"])
+def test_a_table_of_cycles_is_not_written_to_the_standard_output(runs: Path, option: str) -> None:
+    """It was left out without a word."""
+    done = cell("history", "--runs", runs, "--json", option, "-")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert f"{option} -: give the name of a file" in done.stderr
+
+
+def test_a_promotion_takes_a_candidate_or_goes_back(tmp_path: Path) -> None:
+    for options, says in (((tmp_path, "--undo"), "--undo, not both\n"), ((), "--undo\n")):
+        done = cell("promote", "--config", CONFIG, *options)
+        assert (done.exit_code, done.stderr) == (2, f"give a candidate, or {says}")

@@ -28,9 +28,20 @@ class Inside(BaseModel):
     name: str = ""
 
 
+class Maybe(Inside):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Bare(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
 class Small(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
+    maybe: Maybe | None = None
+    empty: Bare = Bare()
+    some: Annotated[list[int], Field(min_length=1, max_length=2)] = [1]
     inside: Inside = Inside()
     size_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
     count: int = 1
@@ -61,7 +72,13 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         (BOMB, "makes more than 100000 entries, aliases counted"),
         ("x" * (MAX_BYTES + 1), "limit 0.2 MB"),
         ("size_m: true", "size_m: input should be a valid number (got True)"),
-        ("size_m: '1'", "size_m: input should be a valid number (got '1')"),
+        ("size_m: '0.100'", "a valid number (got '0.100'); write it without quotes"),
+        ("count: '2'", "a valid integer (got '2'); write it without quotes"),
+        ("size_m:", "size_m: is empty; give a value"),
+        ("some: []", "some: has 0 items, needs at least 1"),
+        ("some: [1, 2, 3]", "some: has 3 items, needs at most 2"),
+        ("maybe: {brim: 1}", "maybe.brim: unknown key; use one of those known here: name"),
+        ("empty: {nix: 1}", "empty.nix: unknown key; remove it"),
         ("pair: 1", "pair: must be a list, [a, b, …] (got 1)"),
         ("pair: {a: 1}", "pair: must be a list, [a, b, …]"),
         ("inside: [1]", "inside: must hold entries, `key: value`"),

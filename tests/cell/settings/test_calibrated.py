@@ -146,3 +146,17 @@ def test_a_view_and_a_calibration_exclude_each_other(tmp_path):
         load_settings(config_of(tmp_path, calibration="{}", view=True))
     with pytest.raises(InputError, match=r"camera.view: is missing; add the section"):
         load_settings(config_of(tmp_path))
+
+
+def test_a_check_refuses_a_file_as_folder_and_a_folder_as_file(tmp_path):
+    calib = tmp_path / "calib"
+    config = config_of(tmp_path, calibration=f"{{folder: {calib}}}")
+    calib.touch()
+    checked = CliRunner().invoke(app, ["check", "--config", str(config)])
+    assert checked.exit_code == 2
+    assert f"calibration.folder: {calib}: is a file; give a folder" in checked.stderr
+    calib.unlink()
+    (calib / "cell.yaml").mkdir(parents=True)
+    checked = CliRunner().invoke(app, ["check", "--config", str(config)])
+    assert checked.exit_code == 2
+    assert f"{calib / 'cell.yaml'}: is a folder; remove it" in checked.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import string
+import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from cell.files.input_error import InputError
 from cell.settings import load_settings
 from cell.settings.calibrated import calibration_file
 from cell.settings.loading import for_product, load_product, products_of
-from cell.settings.product import product_for, product_of_part
+from cell.settings.product import pattern, product_for, product_of_part
 from cell.settings.provenance import calibration_hash
 from cell.settings.translate import model_hash
 
@@ -67,7 +68,8 @@ def test_the_settings_of_a_product_can_be_loaded_from_a_record(tmp_path: Path) -
             "missing",
         ),
         ("  A: {force_n: 1000.0}", "products.A.force_n", "less than or equal to 235"),
-        ("  A: {part_ids: 'A-('}", "products.A.part_ids", "is no pattern"),
+        ("  A: {part_ids: 'A-('}", "products.A.part_ids", "'A-(' is no pattern"),
+        (r"  A: {part_ids: '(a+)+$'}", "products.A.part_ids", "'(a+)+$' can match an id in more"),
         ("  A: {part_ids: a}\n  B: {part_ids: a}", "products.B.part_ids", "is that of A too"),
         ("  A: {vision: {jaw: {radius_m: 0.003}}}", "products.A.vision.jaw", "belongs to the cell"),
         ("  a/b: {}", "products", "can be no product's name"),
@@ -199,3 +201,34 @@ def test_what_cannot_be_made_is_refused_with_the_remedy(
     assert product_for(patterns, "soft", "X-1", None) == "soft", "an id of none gainsays no name"
     with pytest.raises(ValueError, match="soft and stiff; make the patterns narrower"):
         product_of_part({"soft": ".*", "stiff": "T.*"}, "T-1")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(a|a)*b",
+        "(?:a|ab)+$",
+        r"(\w+\d?)*-",
+        "(?:a?){40}",
+        "a?" * 40 + "b",
+        ".*" * 9,
+        "(?=(a+)+b)a",
+    ],
+)
+def test_pattern_that_would_take_long_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="takes too long; give no repeat within a repeat"):
+        pattern(text)
+
+
+@pytest.mark.parametrize(
+    "text", [r"S-\d+", r"[A-Z]+-\d+-\d+-\d+", r"(?:A|BC)-\w{1,9}", r"S(-\d{1,4}){0,3}", "a{300}"]
+)
+def test_accepted_pattern_refuses_the_longest_id_at_once(text: str) -> None:
+    started_s = time.process_time()
+    assert re.fullmatch(pattern(text), "A1" * 99 + "-!") is None
+    assert time.process_time() - started_s < 1.0
+
+
+def test_too_large_a_count_is_no_pattern() -> None:
+    with pytest.raises(ValueError, match="is no pattern"):
+        pattern("a{99999999999999}")

@@ -115,7 +115,7 @@ def studies(draw: st.DrawFn) -> Study:
                     draw(hnp.arrays(float, rows, elements=st.floats(-1.5, 1.5))),
                 ),
                 Markers(np.cumsum(steps), xy_m),
-                draw(st.floats(-1.0, 1.0)) if start == "straight" else None,
+                draw(st.sampled_from(np.cumsum(steps))) if start == "straight" else None,
                 draw(drifts()),
             )
         )
@@ -278,6 +278,15 @@ MISTAKES: list[tuple[str, Edit, str]] = [
     ("study.yaml", swap("equilibrium", "equilibrium\n  release_s: 0.1"), "only for `start: str"),
     ("study.yaml", swap("start: equilibrium", "start: held"), "needs the time of letting go"),
     ("study.yaml", swap("equilibrium", "moving\n  release_s: 0.1"), "only for `start: straight`"),
+    *(
+        (
+            "study.yaml",
+            swap("equilibrium", f"{start}\n  release_s: {release_s}"),
+            f"trials[0].release_s: {release_s} s is outside the record, 0.00640592 … ",
+        )
+        for start in ("straight", "held")
+        for release_s in (99, -1)
+    ),
     ("study.yaml", swap("name: identify", "name: ../identify"), "trials[0].name: "),
     (
         "study.yaml",
@@ -432,6 +441,7 @@ def test_a_recorded_table_may_be_cut_on_purpose(tmp_path):
         (study(trial(markers=2)), r"xy_m has shape \(5, 2, 2\), needs \(5, 3, 2\)"),
         (replace(study(), cable=Cable(100, 0.0074, 0.016, 1e-4)), "give metres, not millimetres"),
         (replace(study(), trials=()), r"trials: "),
+        (study(replace(trial(), start="held", release_s=99.0)), "release_s: 99 s is outside"),
     ],
 )
 def test_a_study_that_no_reader_accepts_is_not_written(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.cable.effects import library
+from cell.cable.effects import EffectError, library
 from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import candidates_in, select_effects
 from cell.lab.search.setup import fit_cache_of
@@ -115,15 +115,32 @@ def test_candidates_of_a_folder_are_tried_and_the_others_are_named(tmp_path: Pat
         (folder / f"{name}.py").write_text(text)
     (folder / "twin.py").write_text((folder / "drag.py").read_text())
     (folder / "broken.py").write_text("x = 1\n")
+    (folder / "folder.py").mkdir()
+    (folder / "gone.py").symlink_to("nowhere.py")
     good, refused = candidates_in(folder)
     assert good == [str(folder / "drag.py")]
     said = "\n".join(refused)
-    assert len(refused) == 4
+    assert len(refused) == 6
     assert "bad.py:13: `open` is not allowed" in said
     assert "broken.py:1: must define exactly one subclass of Effect" in said
+    assert "folder.py:1: cannot be read: Is a directory" in said
+    assert "gone.py:1: cannot be read: No such file or directory" in said
     assert "endless.force takes more than" in said
     assert f"twin.py: is called 'drag' as {folder / 'drag.py'} is; rename one" in said
     assert not Path("x").exists()
     assert "drag" not in library()
-    with pytest.raises(ValueError, match="holds no effect"):
+    with pytest.raises(ValueError, match="none: no such folder"):
         candidates_in(tmp_path / "none")
+    with pytest.raises(ValueError, match=r"drag\.py: is a file; give a folder"):
+        candidates_in(folder / "drag.py")
+    with pytest.raises(ValueError, match="holds no effect"):
+        candidates_in(folder / "folder.py")
+    with pytest.raises(FileNotFoundError, match=r"folder\.py: is a folder, not an effect file"):
+        select_effects([], [str(folder / "folder.py")])
+
+
+def test_an_error_without_a_message_is_named_by_its_kind(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("raise MemoryError\n")
+    with pytest.raises(EffectError, match=r"mine\.py:1: MemoryError: mend that"):
+        select_effects([], [str(file)])

@@ -129,8 +129,11 @@ def test_the_beginning_is_not_guessed_before_the_hand_s_times_are_known(tmp_path
     mapping.write_text(written.replace("seconds_per_unit: null", "seconds_per_unit: 0.005"))
     assert "let go" not in run(mapping)
     assert read_study(tmp_path / "s").trials[0].start == "equilibrium"
+    late = "start: held, release_s: 99,"
+    mapping.write_text(mapping.read_text().replace("start: equilibrium,", late))
+    assert "release_s: 99 s is outside the record" in run(mapping, "--force", code=2)
     held = "start: held, release_s: 0.4,"
-    mapping.write_text(mapping.read_text().replace("start: equilibrium,", held))
+    mapping.write_text(mapping.read_text().replace(late, held))
     said = run(mapping, "--force")
     assert "let go at 0.4 s, yet its gripper moves by 51 mm from 0.4" in said
     (note,) = read_study(tmp_path / "s").notes
@@ -154,3 +157,15 @@ def test_clocks_that_differ_are_refused_by_the_mapping_s_entries(
     if early_rows:
         mapping.write_text(written.replace("role: fit,", "role: fit, clock_offset_s: -0.4,"))
         run(mapping)
+
+
+def test_a_folder_without_pictures_names_its_tables(tmp_path: Path) -> None:
+    """Every folder was taken for a film."""
+    assert "give files of measurements" in run(tmp_path, "-o", tmp_path / "s", code=2)
+    for name in ("a.csv", "b.csv", "c.trc", "notes.doc"):
+        (tmp_path / name).touch()
+    said = run(tmp_path, "-o", tmp_path / "s", code=2)
+    assert f"{tmp_path}: is a folder without pictures" in said
+    assert f"give its files: {tmp_path}/*.csv {tmp_path}/*.trc" in said
+    (tmp_path / "0001.PNG").touch()
+    assert "a video needs --config and --hand" in run(tmp_path, "-o", tmp_path / "s", code=2)
