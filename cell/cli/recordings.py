@@ -79,6 +79,7 @@ def show(
     Exit codes: 0, or 2 if the folder is wrong.
     """
     from cell.cli.cycle_tables import record_parts
+    from cell.files.plain import plain
     from cell.records.folder import newest, pictures_in, read_record
 
     with refusing():
@@ -86,7 +87,7 @@ def show(
     images = pictures_in(record.folder)
     if as_json:
         result = None if record.result is None else record.result.to_json()
-        content = {"folder": str(record.folder), "state": dict(record.state), "result": result}
+        content = {"folder": str(record.folder), "state": plain(record.state), "result": result}
         print_json({**content, "pictures": [str(image) for image in images]})
     else:
         show_parts(*record_parts(record, images))
