@@ -79,6 +79,7 @@ def show(
     Exit codes: 0, or 2 if the folder is wrong.
     """
     from cell.cli.cycle_tables import record_parts
+    from cell.files.plain import plain
     from cell.records.folder import newest, pictures_in, read_record
 
     with refusing():
@@ -86,7 +87,7 @@ def show(
     images = pictures_in(record.folder)
     if as_json:
         result = None if record.result is None else record.result.to_json()
-        content = {"folder": str(record.folder), "state": dict(record.state), "result": result}
+        content = {"folder": str(record.folder), "state": plain(record.state), "result": result}
         print_json({**content, "pictures": [str(image) for image in images]})
     else:
         show_parts(*record_parts(record, images))
@@ -271,13 +272,14 @@ def recover(
 
     A recording is torn when the power was cut, the disk was full or a process was killed.  What
     was written is copied to a new file, which is then read back and verified.  The torn file is
-    removed only if nothing in it is damaged.
+    removed only if nothing in it is damaged.  Recordings in folders that are not torn are read
+    too: the damaged ones are named, and stay as they are.
 
-    Exit codes: 0 if all were recovered, or none is torn; 1 if one could not be; 2 if there is
-    nothing of the kind.
+    Exit codes: 0 if all were recovered, or none is torn; 1 if one could not be, or is damaged; 2 if
+    there is no recording.
     """
     from cell.files.input_error import InputError
-    from cell.records.recording.recover import recover_in_place, torn_recordings
+    from cell.records.recording.recover import damaged_recordings, recover_in_place, torn_recordings
 
     done: list[Recovered] = []
     failed: list[str] = []
@@ -293,6 +295,7 @@ def recover(
                 failed.append(str(error))
             except OSError as error:
                 failed.append(why_not_written(error))
+        failed += [str(error) for place in places for error in damaged_recordings(place)]
     data = {"recovered": [r.to_json() for r in done], "failed": failed}
     for text in failed:
         print(text, file=sys.stderr)

@@ -139,6 +139,8 @@ def check(config: Config, runs: Runs = Path("runs")) -> None:
 
     Exit codes: 0 if they are right; 2 if not. Every mistake is reported with line and column.
     """
+    from cell.cli.ledger import ledger_errors
+    from cell.records.ledger.database import check_file
     from cell.records.recording.retention import recording_room
     from cell.settings import load_settings
     from cell.settings.calibrated import calibrated, not_yet_calibrated
@@ -151,6 +153,9 @@ def check(config: Config, runs: Runs = Path("runs")) -> None:
         settings = load_settings(config)
         each = products_of(settings).values() or [settings]
         notes = [note for one in each for note in not_yet_calibrated(one, config)]
+        if settings.ledger is not None:
+            with ledger_errors():
+                check_file(settings.ledger.url or runs)
     tell_notes([*oddities(settings), *dict.fromkeys(notes)])
     if examples := unmeasured(settings):
         tell_notes(

@@ -15,11 +15,17 @@ from pathlib import Path
 from typing import Any
 
 from cell.files.input_error import InputError
-from cell.files.text_file import read_json_object
 from cell.plant.messages import CommandReply, FaultNotice, Request
 from cell.plant.reporter import Reporter, latch, refusal
 from cell.plant.systemd import Watchdog
-from cell.records.folder import RecordError, acknowledge_record, cycle_of, read_record, started_of
+from cell.records.folder import (
+    RecordError,
+    acknowledge_record,
+    cycle_of,
+    read_record,
+    read_state,
+    started_of,
+)
 from cell.records.result import Outcome, Result
 from cell.run.commands import InterruptedByCommandError, too_old
 from cell.run.cycle import Cell
@@ -383,7 +389,7 @@ def earlier_cycles(runs: Path) -> EarlierCycles:
 def _state(folder: Path) -> Mapping[str, Any]:
     """State of a cycle; empty = there is none, or it cannot be read."""
     try:
-        return read_json_object(folder / "state.json")
+        return read_state(folder) or {}
     except InputError:
         return {}
 

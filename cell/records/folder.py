@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import re
+import reprlib
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -23,18 +24,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from cell.files.atomic import free_bytes, write_atomic
 from cell.files.input_error import InputError, Problem
-from cell.files.text_file import read_json_object
-from cell.files.words import error_text
-from cell.files.yaml_document import yaml_text
-from cell.records.result import Result
+from cell.files.text_file import MAX_JSON_BYTES, read_json_object, read_text
+from cell.files.yaml_document import MAX_PROBLEMS, Document, document_of, yaml_text
+from cell.records.result import Result, result_adapter
 from cell.study.data import Study
 from cell.study.folder import read_study, write_study
 
@@ -204,7 +205,7 @@ def acknowledge_record(folder: Path, by: str, note: str) -> None:
         state |= {"cycle": number, "closed": False}
     try:
         try:
-            state = read_json_if_there(path) or state
+            state = {**(read_state(folder) or state)}
         except InputError:
             path.replace(path.with_name(f"{path.name}.unreadable"))
         state["acknowledged"] = {"by": by, "note": note}
@@ -243,7 +244,7 @@ def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
     Folders of older versions have it in their name only, in local time.
     raises  ValueError: the folder's name is no cycle's
     """
-    with suppress(KeyError, TypeError, ValueError):
+    with suppress(KeyError, TypeError, ValueError, OverflowError):
         return datetime.fromisoformat((state or {})["started"]).astimezone()
     return datetime.strptime(folder.name.rpartition("-")[0], "%Y%m%dT%H%M%S.%f").astimezone()
 
@@ -264,19 +265,12 @@ def read_record(folder: Path) -> Recorded:
 
     raises  InputError: it is not such a folder, or a file in it was changed and is wrong now
     """
-    state = read_json_if_there(folder / "state.json")
+    state = read_state(folder)
     if state is None:
         raise InputError.at(
             folder / "state.json",
             "is missing: not a cycle's folder; `cell list` shows those there are",
         )
-    if state.get("format") != FORMAT:
-        message = f"format is {state.get('format')!r}, not {FORMAT!r}; {_AS_WRITTEN}"
-        raise InputError.at(folder / "state.json", message)
-    for key, kind in (("cycle", int), ("closed", bool)):
-        if type(state.get(key)) is not kind:
-            message = f"{key}: {state.get(key)!r} is no {kind.__name__}; {_AS_WRITTEN}"
-            raise InputError.at(folder / "state.json", message)
     return Recorded(
         folder=folder,
         cycle=state["cycle"],
@@ -284,23 +278,75 @@ def read_record(folder: Path) -> Recorded:
         step=state.get("step"),
         state=state,
         study=read_study(folder / "study") if (folder / "study" / "study.yaml").exists() else None,
-        model=read_json_if_there(folder / "model.json"),
-        result=_read_result(folder / "result.json"),
+        model=read_model(folder),
+        result=read_result(folder),
     )
 
 
-def _read_result(path: Path) -> Result | None:
-    data = read_json_if_there(path)
+class _ReadEntries(BaseModel):
+    """What readers use of a file, its numbers finite; other entries are kept."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class _CycleState(_ReadEntries):
+    format: Literal["cable-cycle/1"]
+    cycle: int
+    closed: bool
+    step: str | None = None
+    outcome: str | None = None
+    product: str | None = None
+
+
+class _ModelParameter(_ReadEntries):
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class _CycleModel(_ReadEntries):
+    parameters: list[_ModelParameter]
+
+
+_Content = TypeVar("_Content")
+
+
+def read_state(folder: Path) -> Mapping[str, Any] | None:
+    """State of a cycle; None = no such file.  Raises InputError: it is wrong."""
+    state = _read(folder / "state.json", TypeAdapter(_CycleState))
+    return None if state is None else state.model_dump(exclude_unset=True)
+
+
+def read_model(folder: Path) -> Mapping[str, Any] | None:
+    """Model of a cycle's cable; None = no such file.  Raises InputError: it is wrong."""
+    model = _read(folder / "model.json", TypeAdapter(_CycleModel))
+    return None if model is None else model.model_dump()
+
+
+def read_result(folder: Path) -> Result | None:
+    """Result of a cycle; None = no such file.  Raises InputError: it is wrong."""
+    return _read(folder / "result.json", result_adapter())
+
+
+def _read(path: Path, adapter: TypeAdapter[_Content]) -> _Content | None:
+    if not path.exists():
+        return None
+    data = read_json_object(path)
     try:
-        return None if data is None else Result.from_json(data)
-    except (KeyError, TypeError, ValueError) as error:
-        message = f"is not a cycle's result ({error_text(error)}); {_AS_WRITTEN}"
-        raise InputError.at(path, message) from error
-
-
-def read_json_if_there(path: Path) -> dict[str, Any] | None:
-    """A JSON object; None = no such file.  Raises InputError: it is none, or cannot be read."""
-    return read_json_object(path) if path.exists() else None
+        return adapter.validate_json(json.dumps(data), strict=True)
+    except ValidationError as error:
+        try:
+            document = document_of(read_text(path, MAX_JSON_BYTES), path)
+        except InputError:  # JSON that is no YAML: without lines
+            document = Document(path, data, {(): (1, 1)})
+        problems = []
+        for each in error.errors()[:MAX_PROBLEMS]:
+            found = f"{each['msg'].removeprefix('Input ')}, not {reprlib.repr(each['input'])}"
+            message = "is missing" if each["type"] == "missing" else found
+            problems.append(document.problem(each["loc"], f"{message}; {_AS_WRITTEN}"))
+        raise InputError(problems) from error
 
 
 def _json(data: Mapping[str, Any]) -> str:
@@ -364,20 +410,16 @@ def newest(runs: Path) -> Path:
 def _past(folder: Path, cycle: int) -> PastCycle:
     state: Mapping[str, Any] | None = None
     try:
-        state, result = (
-            read_json_if_there(folder / f"{name}.json") for name in ("state", "result")
-        )
-        assert state is None or state["format"] == FORMAT
-    except (OSError, ValueError, KeyError, AssertionError):
+        state, result = read_state(folder), read_result(folder)
+    except (OSError, InputError):
         return PastCycle(folder, started_of(folder, state), cycle, "unreadable")
-    known = result or {}
     return PastCycle(
         folder,
         started_of(folder, state),
         cycle,
-        str(known.get("outcome", UNFINISHED)),
-        str((state or {}).get("step", "")),
-        known.get("offset_m"),
-        known.get("prediction_error_m"),
+        UNFINISHED if result is None else result.outcome.value,
+        (state or {}).get("step") or "",
+        None if result is None else result.offset_m,
+        None if result is None else result.prediction_error_m,
         tuple(picture.name for picture in pictures_in(folder)),
     )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from functools import cache
 from typing import Any
+
+from pydantic import ConfigDict, TypeAdapter
 
 from cell.files.plain import plain
 
@@ -121,6 +125,8 @@ class Result:
     product             of the cable; None = the settings have no products
     """
 
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)  # of faults, checks, corrections too
+
     cycle: int
     outcome: Outcome
     folder: str
@@ -166,12 +172,11 @@ class Result:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Result:
-        """Back from `to_json`.  Raises KeyError, ValueError: not a result."""
-        known = {f.name: data[f.name] for f in fields(cls) if f.name in data}
-        known["outcome"] = Outcome(data["outcome"])
-        known["fault"] = None if data.get("fault") is None else Fault(**data["fault"])
-        if known.get("corrections") is not None:
-            known["corrections"] = tuple(Correction(**c) for c in data["corrections"])
-        known["stops"] = tuple(data.get("stops", ()))
-        known["checks"] = tuple(AgreementCheck(**check) for check in data.get("checks", ()))
-        return cls(**known)
+        """Back from `to_json`.  Raises ValueError: not a result."""
+        return result_adapter().validate_json(json.dumps(data), strict=True)
+
+
+@cache
+def result_adapter() -> TypeAdapter[Result]:
+    """Validator of a result: types, and numbers finite; unknown entries are left out."""
+    return TypeAdapter(Result)

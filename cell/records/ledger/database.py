@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sqlite3
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +20,7 @@ from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 
 from cell.files.atomic import named_folder
 from cell.records.ledger.entry import LedgerError
-from cell.records.ledger.tables import HEAD, upgrade, version
+from cell.records.ledger.tables import HEAD, cycles, metadata, upgrade, version
 from drivers.installing import install_extra
 
 #: Suffix of a ledger's file.
@@ -62,14 +64,36 @@ def url_of(place: str | Path) -> URL:
 
 
 def need_file(place: str | Path | URL) -> None:
-    """Raise LedgerError if the ledger is a file that does not exist."""
+    """Raise LedgerError if the ledger is a file that does not exist, or no file."""
     url = place if isinstance(place, URL) else url_of(place)
     path = Path(url.database or "")
-    if url.drivername.startswith("sqlite") and url.database and not path.is_file():
+    if not url.drivername.startswith("sqlite") or not url.database or path.is_file():
+        return
+    try:
+        kind = "a folder" if stat.S_ISDIR(path.stat().st_mode) else "a pipe or a device"
+        raise LedgerError(f"{path} is {kind}, no ledger's file; give another name")
+    except FileNotFoundError as error:
         raise LedgerError(
             f"{path} is missing: no cycle is listed there; `cell run` lists each, "
             "`cell history --import FOLDER` takes in those that were before"
-        )
+        ) from error
+    except OSError as error:
+        raise LedgerError(
+            f"{path} cannot be read: {error.strerror}; mend that, or give another name"
+        ) from error
+
+
+def check_file(place: str | Path) -> None:
+    """Raise LedgerError if the ledger is a file that exists, but is none of this program."""
+    url = url_of(place)
+    path = Path(url.database or "")
+    if url.drivername.startswith("sqlite") and (path.exists() or path.is_symlink()):
+        engine = _engine(url, create=False)
+        try:
+            with database_errors(engine), engine.connect() as connection:
+                _version(connection)
+        finally:
+            engine.dispose()
 
 
 def open_engine(url: URL, *, create: bool) -> Engine:
@@ -79,6 +103,18 @@ def open_engine(url: URL, *, create: bool) -> Engine:
     raises  LedgerError: it cannot be reached, or is of a newer version, or, without `create`, of an
             older one
     """
+    engine = _engine(url, create)
+    try:
+        with database_errors(engine):
+            _bring_up_to_date(engine, create)
+    except BaseException:
+        engine.dispose()
+        raise
+    return engine
+
+
+def _engine(url: URL, create: bool) -> Engine:
+    """An engine, not yet connected.  Raises LedgerError, as `open_engine`."""
     path = None if url.database is None else Path(url.database)
     in_file = url.drivername.startswith("sqlite")
     if not create:
@@ -102,13 +138,7 @@ def open_engine(url: URL, *, create: bool) -> Engine:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise LedgerError(f"{path.parent} cannot be made: {error.strerror}") from error
-        _keep_transactions(engine, read_only)
-    try:
-        with database_errors(engine):
-            _bring_up_to_date(engine, create)
-    except BaseException:
-        engine.dispose()
-        raise
+        _keep_transactions(engine, read_only, create)
     return engine
 
 
@@ -170,14 +200,16 @@ def _arguments(in_file: bool) -> dict[str, Any]:
     return {"connect_args": {"connect_timeout": CONNECT_S}, "pool_pre_ping": True}
 
 
-def _keep_transactions(engine: Engine, read_only: bool) -> None:
+def _keep_transactions(engine: Engine, read_only: bool, create: bool) -> None:
     """Begin transactions explicitly: Python's module for SQLite begins them by itself."""
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, _record: object) -> None:
         connection.isolation_level = None
         if not read_only:
-            _write_ahead(connection)
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+            if {version.name, cycles.name} <= tables or (create and not tables):  # not foreign
+                _write_ahead(connection)
             connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
 
@@ -225,7 +257,18 @@ def _bring_up_to_date(engine: Engine, create: bool) -> None:
 
 
 def _version(connection: Connection) -> str | None:
-    """Version of the ledger's tables; None = there is no ledger yet."""
-    if not inspect(connection).has_table(version.name):
-        return None
-    return connection.scalar(select(version.c.version_num))
+    """Version of the ledger's tables; None = there is no ledger yet.
+
+    raises  LedgerError: the tables are another program's; a server may hold others beside ours
+    """
+    tables = {*inspect(connection).get_table_names()}
+    held = connection.scalar(select(version.c.version_num)) if version.name in tables else None
+    own = (
+        tables if connection.dialect.name == "sqlite" else tables & {version.name, *metadata.tables}
+    )
+    if own if held is None else not re.fullmatch(r"\d{4}", held):
+        raise LedgerError(
+            f"{connection.engine.url.render_as_string()} is no ledger of this program: it holds "
+            f"tables of another ({', '.join(sorted(own))[:100]}); give another name"
+        )
+    return held

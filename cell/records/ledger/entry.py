@@ -8,9 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.files.text_file import known_json
-from cell.records.folder import cycle_of, read_json_if_there, started_of
+from cell.records.folder import cycle_of, read_model, read_result, started_of
 from cell.records.result import Outcome, Result
 
 #: States in which the cell works on a cable; in the others it waits for a person or the line.
@@ -125,13 +126,9 @@ def entry_of_folder(folder: Path, line: str) -> LedgerEntry | None:
     if cycle is None:
         return None
     try:
-        result, model = (
-            read_json_if_there(folder / f"{name}.json") for name in ("result", "model")
-        )
-        ended = (folder / "result.json").stat().st_mtime if result is not None else None
-        known = None if result is None else Result.from_json(result)
-        estimates = estimates_of(model)
-    except (OSError, ValueError, KeyError, TypeError):
+        known, estimates = read_result(folder), estimates_of(read_model(folder))
+        ended = (folder / "result.json").stat().st_mtime if known is not None else None
+    except (OSError, InputError):
         return None
     aim = Outcome.INSERTED
     if known is not None and known.outcome in (Outcome.MEASURED, Outcome.REHEARSED, Outcome.UNFIT):

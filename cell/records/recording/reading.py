@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,6 +30,7 @@ from zstandard import ZstdError
 
 from cell.computer.memory import reuse_freed_memory
 from cell.files.input_error import InputError
+from cell.files.text_file import known_json
 from cell.files.words import counted
 from cell.records.recording import form
 from drivers.interfaces import Frame, Trajectory
@@ -220,7 +222,8 @@ def check_begins(path: Path) -> None:
 def read_recording(path: Path) -> Recording:
     """Open a recording, or the one in a cycle's folder.
 
-    raises  InputError: there is none, it is torn, or it is not one of this program
+    raises  InputError: there is none, it is torn, it is not one of this program, or it is in the
+            folder of another cycle
     """
     if path.is_dir():
         path = recording_in(path)
@@ -245,11 +248,30 @@ def read_recording(path: Path) -> Recording:
     if begun.get("format") != form.FORMAT:
         name = begun.get("format")
         raise InputError.at(path, f"format is {name!r}, not {form.FORMAT!r}; use that version")
+    _check_folder(path, begun)
     counts = {
         summary.channels[number].topic: n
         for number, n in summary.statistics.channel_message_counts.items()
     }
     return Recording(path, begun, metadata.get(form.CLOSED, {}), counts)
+
+
+def _check_folder(path: Path, begun: Mapping[str, str]) -> None:
+    """Raise InputError if a recording is in the folder of another cycle."""
+    state = known_json(path.with_name("state.json")) if path.name == form.FILE else {}
+    own, folders = ((str(of.get("cycle", "")), _moment(of.get("started"))) for of in (begun, state))
+    if any(a and b and a != b for a, b in zip(own, folders, strict=True)):
+        recorded, expected = (f"cycle {n or '?'}, begun {at or '?'}" for n, at in (own, folders))
+        message = f"is of {recorded}, its folder of {expected}; put it into the folder of its cycle"
+        raise InputError.at(path, message)
+
+
+def _moment(text: object) -> datetime | None:
+    """A time in UTC; None = it is none."""
+    try:
+        return datetime.fromisoformat(str(text)).astimezone(UTC)
+    except (ValueError, OverflowError):
+        return None
 
 
 def recording_in(folder: Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ from cell.records.recording.copying import RecordingCopy, records_of
 from cell.records.recording.reading import (
     TornRecordingError,
     check_begins,
+    damaged,
     lacks_end,
     verify,
 )
@@ -55,20 +56,35 @@ def torn_recordings(place: Path) -> list[Path]:
     """Torn recordings in a folder and below it; of a file itself, if incomplete or damaged.
 
     Recordings that are being written are skipped.  In a folder, damage in the middle of a
-    recording is not detected: that would need to read all of them.
-    raises  InputError: there is no such place
+    recording is not detected: `damaged_recordings` reads all of them.
+    raises  InputError: there is no such place, or no recording in it
     """
     if place.is_file():
         return [] if _is_complete_file(place) else [place]
     if not place.is_dir():
         raise InputError.at(place, "is missing; give a recording or a folder")
-    parts = [p for p in place.rglob(form.PART) if not being_written(p)]
+    there = [*place.rglob(form.PART), *place.rglob(form.FILE)]
+    if not there:
+        raise InputError.at(place, "holds no recording; give a recording, or a folder with some")
+    parts = [p for p in there if p.name == form.PART and not being_written(p)]
     for part in parts:  # its recorder was killed while it reduced the frames
         part.with_name(form.BAND).unlink(missing_ok=True)
         if part.with_name(form.FILE).exists():
             part.replace(part.with_name(form.WHOLE))
     parts = [p for p in parts if p.exists()]
     return sorted([*parts, *(p for p in place.rglob(form.FILE) if lacks_end(p))])
+
+
+def damaged_recordings(place: Path) -> Iterator[InputError]:
+    """One error for each recording in a folder and below it that has an index, but is damaged."""
+    for path in sorted(place.rglob(form.FILE)):
+        try:
+            if not lacks_end(path):
+                verify(path)
+        except TornRecordingError as error:
+            yield damaged(path, error)
+        except OSError as error:
+            yield InputError.at(path, f"cannot be read: {error.strerror}; check who may read it")
 
 
 def _is_complete_file(path: Path) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sqlite3
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -73,6 +74,14 @@ def test_beside_the_root_there_is_no_place(command: tuple[object, ...]) -> None:
     assert "has no name, and files are written next to it" in " ".join(
         done.stderr.replace("│", "").split()
     )
+
+
+def test_the_settings_are_wrong_if_the_ledger_is_a_file_of_another_program(tmp_path: Path) -> None:
+    foreign = sqlite3.connect(tmp_path / "runs.sqlite")
+    foreign.execute("CREATE TABLE songs (name TEXT)")
+    foreign.close()
+    done = cell("check", "--config", CONFIG, "--runs", tmp_path / "runs")
+    assert (done.exit_code, "is no ledger of this program" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("command", ["status", "bundle", "serve"])

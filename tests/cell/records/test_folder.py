@@ -16,6 +16,10 @@ from cell.records.folder import Record, RecordError, read_record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Markers, Study, Trial
 
+MODEL = {
+    "parameters": [{"name": "exponent", "value": 1.0, "low": 0.9, "high": 1.1, "unit": ""}],
+    "inflation": 1.0,
+}
 NOW = datetime(2026, 11, 21, 1, 2, 3, 456789)
 T_S = np.array([0.0, 0.1, 0.2])
 STUDY = Study(
@@ -45,12 +49,12 @@ def test_every_stage_of_a_cycle_is_readable(tmp_path: Path) -> None:
 
     record.state(step="identify")
     record.study(STUDY)
-    record.model({"viscosity_n_m2_s": 1e-8})
+    record.model(MODEL)
     read = read_record(record.folder)
     assert read.step == "identify"
     assert read.study is not None
     np.testing.assert_array_equal(read.study.trials[0].markers.t_s, T_S)
-    assert read.model == {"viscosity_n_m2_s": 1e-8}
+    assert read.model == MODEL
     assert not read.closed
 
     result = Result(2, Outcome.INSERTED, str(record.folder), offset_m=0.012, seconds={"grasp": 0.4})
@@ -120,13 +124,13 @@ _STATE = '{"format": "cable-cycle/1", "cycle": 1, "closed": true}'
     ("state", "said"),
     [
         (None, r"state\.json:1: is missing: not a cycle's folder"),
-        ('{"format": "cable-cycle/9"}', "format is 'cable-cycle/9', not 'cable-cycle/1'"),
+        ('{"format": "cable-cycle/9"}', "format: should be 'cable-cycle/1', not 'cable-cycle/9'"),
         ('{"format": ', r"state\.json:1:\d+: is not JSON"),
         (
             '{"format": "cable-cycle/1", "closed": true}',
-            r"state\.json:1: cycle: None is no int; give the file",
+            r"state\.json:1:1: cycle: is missing; give the file",
         ),
-        (_STATE, r"result\.json:1: is not a cycle's result .* give the"),
+        (_STATE, r"result\.json:1:35: fault\.cause: should be a valid string, not 1; give the"),
     ],
 )
 def test_what_is_not_a_record_is_refused_by_name(
@@ -142,7 +146,7 @@ def test_what_is_not_a_record_is_refused_by_name(
 def test_a_model_that_is_not_finite_is_refused_and_leaves_the_old_one(tmp_path: Path) -> None:
     record = Record(tmp_path, 1, NOW)
     record.state()
-    record.model({"exponent": 1.0})
+    record.model(MODEL)
     with pytest.raises(ValueError, match="not JSON compliant"):
         record.model({"exponent": float("nan")})
-    assert read_record(record.folder).model == {"exponent": 1.0}
+    assert read_record(record.folder).model == MODEL

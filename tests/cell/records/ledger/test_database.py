@@ -14,7 +14,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import Engine, create_engine, text
 
-from cell.records.ledger.database import url_of
+from cell.records.ledger.database import check_file, url_of
 from cell.records.ledger.entry import Acknowledgement, LedgerError
 from cell.records.ledger.ledger import Ledger, LedgerQuery
 from cell.records.ledger.tables import metadata
@@ -64,6 +64,52 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path) -> None:
     (tmp_path / "runs.sqlite").write_text("these are no tables" * 100)
     with pytest.raises(LedgerError, match="not a database"):
         Ledger(tmp_path / "runs", create=True)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE TABLE cycles (name TEXT)",
+        "CREATE TABLE songs (name TEXT)",
+        "CREATE TABLE alembic_version AS SELECT '1975ea83b712' AS version_num",
+    ],
+)
+def test_a_file_of_another_program_is_refused_and_not_changed(
+    tmp_path: Path, statement: str
+) -> None:
+    file = tmp_path / "foreign.sqlite"
+    foreign = sqlite3.connect(file)
+    foreign.execute(statement)
+    foreign.commit()
+    foreign.close()
+    before = file.read_bytes()
+    refusal = pytest.raises(LedgerError, match=r"foreign\.sqlite is no ledger .* another name")
+    for create in (True, False):
+        with refusal:
+            Ledger(file, create=create)
+    with refusal:
+        check_file(file)
+    assert {f.name: f.read_bytes() for f in tmp_path.iterdir()} == {file.name: before}
+
+
+def test_an_empty_file_becomes_a_ledger(tmp_path: Path) -> None:
+    file = tmp_path / "empty.sqlite"
+    file.touch()
+    check_file(file)
+    assert not file.stat().st_size
+    Ledger(file, create=True).close()
+    check_file(file)
+
+
+def test_what_is_no_file_is_said(tmp_path: Path) -> None:
+    check_file(tmp_path / "missing.sqlite")
+    (tmp_path / "folder.sqlite").mkdir()
+    (tmp_path / "loop.sqlite").symlink_to("loop.sqlite")
+    for check in (Ledger, check_file):
+        with pytest.raises(LedgerError, match="is a folder, no ledger's file; give another name"):
+            check(tmp_path / "folder.sqlite")
+        with pytest.raises(LedgerError, match=r"loop\.sqlite cannot be read: .*; mend that"):
+            check(tmp_path / "loop.sqlite")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import json
 import re
 import tracemalloc
 from collections import deque
+from contextlib import nullcontext
 
 import cv2
 import numpy as np
@@ -274,3 +275,21 @@ def test_a_recording_is_kept_for_good(tmp_path):
     assert is_protected(tmp_path)
     keep_recording(tmp_path, False)
     assert not is_protected(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        ({"cycle": 1}, r"is of cycle 7, begun \?, its folder of cycle 1, begun \?; put it into"),
+        ({"cycle": 7, "started": "2026-11-21T01:02:03+00:00"}, None),
+        ({"cycle": "x" * 3}, "its folder of cycle xxx"),
+        ({}, None),
+    ],
+)
+def test_a_recording_in_the_folder_of_another_cycle_is_refused(
+    make_recording, tmp_path, state, expected
+):
+    path = make_recording()
+    (tmp_path / "state.json").write_text(json.dumps(state))
+    with nullcontext() if expected is None else pytest.raises(InputError, match=expected):
+        assert read_recording(path).path == path

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from cell.cli import app
 from cell.files.input_error import InputError
 from cell.records.recording import form
 from cell.records.recording.reading import read_recording, verify
@@ -96,6 +98,24 @@ def test_a_damaged_chunk_costs_itself_only(whole, tmp_path):
     assert recovered.damaged_bytes > 0
     assert 11 <= recovered.messages[form.IMAGE] < 13
     assert torn.exists()
+
+
+def test_in_a_folder_a_damaged_recording_is_named_with_its_remedy(whole, tmp_path):
+    """The command said that no torn recording was found."""
+    folder = tmp_path / "1"
+    folder.mkdir()
+    done = CliRunner().invoke(app, ["recover", str(tmp_path)])
+    assert (done.exit_code, "holds no recording; give" in done.stderr) == (2, True)
+    file = folder / form.FILE
+    file.write_bytes(whole)
+    done = CliRunner().invoke(app, ["recover", str(tmp_path)])
+    assert (done.exit_code, done.stdout) == (0, "no torn recording was found\n")
+    file.write_bytes(damaged(whole))
+    done = CliRunner().invoke(app, ["recover", str(tmp_path)])
+    assert done.exit_code == 1
+    assert f"{file}:1: is damaged: " in done.stderr
+    assert f"`cell recover {file}` copies what is whole" in done.stderr
+    assert file.read_bytes() == damaged(whole)
 
 
 def test_a_cycle_s_recording_is_recovered_to_its_own_name(whole, tmp_path):
