@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import getpass
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
@@ -252,6 +253,23 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
+def reserved_output() -> Iterator[None]:
+    """Send what is printed to the error stream, also by processes that start in the `with`.
+
+    The standard output is then left to a result in JSON: an effect of the user's own may print.
+    """
+    sys.stdout.flush()
+    output = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
+
+
+@contextmanager
 def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
     """Exit with code 2 and a message, before anything is written, if the input is wrong.
 
@@ -264,7 +282,8 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
         check_distinct(files)
         for output in files:
             check_output(output, force=force, command=COMMAND_LINE.get())
-        yield
+        with reserved_output() if STDOUT in outputs else nullcontext():
+            yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
         if isinstance(error, FileNotFoundError) and error.filename is not None:
             print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
