@@ -35,9 +35,10 @@ from cell.cli import (
     studies,
 )
 from cell.cli.logs import about, to_file, to_terminal
-from cell.cli.shared import BAD_INPUT
+from cell.cli.shared import BAD_INPUT, COMMAND_LINE
 from cell.cli.streams import open_streams, usable_streams
 from cell.computer.watched import go_on_watched
+from cell.files.overwriting import CommandLine
 
 #: Commands that run a user's own effects, under a watchdog process.
 WATCHED = (
@@ -118,6 +119,7 @@ class _Commands(typer.core.TyperGroup):
                 new = _new_option(name or "", option, value or "".join(rest[i + 1 : i + 2]))
                 rest[i] = new + equals + value
                 print(f"note: {option} is called {new} now", file=sys.stderr)
+        COMMAND_LINE.set(CommandLine(name or "", rest))
         return name, command, rest
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:

@@ -143,7 +143,7 @@ def _to_mujoco(identified: Identified, options: ExportOptions) -> None:
     from cell.files.input_error import InputError
 
     model, files = options.model, options.files
-    with refusing(), working("export") as progress:
+    with refusing(options.as_json, force=True), working("export") as progress:
         trials = () if options.study is None else _motions(options.study, model, identified)
         progress("comparing with MuJoCo")
         try:

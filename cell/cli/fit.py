@@ -264,9 +264,9 @@ def _all(command: _Identify) -> None:
     from cell.lab.line.recordings import packer, recordings_in
     from cell.lab.report.line_tables import identified_parts
 
-    wanted = Work()
+    wanted, table_anew = Work(), command.csv if command.force else None
     with (
-        refusing(command.out, command.as_json, force=command.force),
+        refusing(command.out, command.as_json, table_anew, force=command.force),
         working("identify") as progress,
     ):
         recordings = recordings_in(command.folder)

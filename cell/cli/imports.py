@@ -130,7 +130,7 @@ def _import_film(options: ImportOptions) -> NoReturn:
     from cell.settings import load_settings
     from cell.wiring.filmed import read_film, record_film
 
-    with refusing(), working("import") as progress:
+    with refusing(options.as_json, force=options.force), working("import") as progress:
         out = _folder(options)
         film = options.files[0]
         if film.is_dir():
@@ -167,7 +167,7 @@ def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoRetu
     """Recordings of this program need no mapping."""
     from cell.lab.data.merge_studies import merge_into
 
-    with refusing(), working("import"), ExitStack() as stack:
+    with refusing(options.as_json, force=options.force), working("import"), ExitStack() as stack:
         out = _folder(options)
         check_new_study(out, force=options.force)
         folders = [folder_in(stack.enter_context, recording) for recording in recordings]
@@ -205,7 +205,7 @@ def _propose(options: ImportOptions) -> NoReturn:
     from cell.study.imports.mcap_file import metadata_names
     from cell.study.imports.write import mapping_text
 
-    with refusing(), working("import") as progress:
+    with refusing(options.as_json, force=options.force), working("import") as progress:
         out = _folder(options)
         mapping_file, preview = out / FILE, out / PREVIEW
         own = [f for f in options.files if f.suffix == ".mcap" and BEGUN in metadata_names(f)]
@@ -312,7 +312,7 @@ def _write(options: ImportOptions) -> NoReturn:
     from cell.study.imports.write import write_imported
     from cell.study.left_out import notes_of_samples
 
-    with refusing(), working("import") as progress:
+    with refusing(options.as_json, force=options.force), working("import") as progress:
         if len(options.files) > 1 or options.hand:
             raise ValueError("a mapping names its files itself: give it alone")
         mapping = options.files[0]

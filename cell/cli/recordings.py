@@ -211,7 +211,11 @@ def replay(options: ReplayOptions) -> None:
     from cell.wiring.replay import replay as replay_cycle
 
     of_import = (options.poses, options.frame_rate_hz, options.out)
-    with refusing(), working("replay") as progress, TemporaryDirectory() as folder:
+    with (
+        refusing(options.as_json, force=options.force),
+        working("replay") as progress,
+        TemporaryDirectory() as folder,
+    ):
         if any(value is not None for value in of_import):
             raise ValueError("--poses, --frame-rate and --out are of --import")
         recorded = read_recording(options.recording)
@@ -239,7 +243,7 @@ def _import(options: ReplayOptions) -> NoReturn:
 
     film = options.recording
     target = film.with_name(f"{film.name}.mcap") if options.out is None else options.out
-    with refusing(target, force=options.force), working("import") as progress:
+    with refusing(target, options.as_json, force=options.force), working("import") as progress:
         if options.poses is None or options.config is None:
             raise ValueError(
                 "--import needs --poses and --config: where the gripper was, and how the camera "

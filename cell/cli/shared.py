@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import getpass
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from cell.computer.watched import ANSWERED, responds_after_interrupt
-from cell.files.overwriting import check_distinct, check_output
+from cell.files.overwriting import CommandLine, check_distinct, check_output
 from cell.files.rescue import no_room, remedy
 from drivers.installing import install_extra
 
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
     from cell.cli.progress import ProgressLine
 
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
+#: The command that is being run.
+COMMAND_LINE: ContextVar[CommandLine | None] = ContextVar("COMMAND_LINE", default=None)
 #: Stands for the standard output where a file could be given.
 STDOUT = Path("-")
 
@@ -37,7 +41,7 @@ OfProduct = Annotated[
     typer.Option("--product", help="Product of the settings; default: the entry `product`."),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite files that this program did not write.")
+    bool, typer.Option("--force", help="Overwrite files that this command did not write.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
@@ -249,18 +253,37 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
+def reserved_output() -> Iterator[None]:
+    """Send what is printed to the error stream, also by processes that start in the `with`.
+
+    The standard output is then left to a result in JSON: an effect of the user's own may print.
+    """
+    sys.stdout.flush()
+    output = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
+
+
+@contextmanager
 def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
     """Exit with code 2 and a message, before anything is written, if the input is wrong.
 
     outputs  files to be written after a long computation: checked before it
-    force    whether they may replace files that no command wrote; None = there is no `--force`
+    force    whether they may replace files that this command did not write, inputs excepted;
+             None = there is no `--force`
     """
     try:
         files = [output for output in outputs if output is not None and output != STDOUT]
         check_distinct(files)
         for output in files:
-            check_output(output, force=force)
-        yield
+            check_output(output, force=force, command=COMMAND_LINE.get())
+        with reserved_output() if STDOUT in outputs else nullcontext():
+            yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
         if isinstance(error, FileNotFoundError) and error.filename is not None:
             print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)

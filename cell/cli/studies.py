@@ -24,7 +24,7 @@ from cell.cli.shared import (
     tell_notes,
     working,
 )
-from cell.files.overwriting import check_new_study
+from cell.files.overwriting import check_new_study, check_not_read
 from cell.files.words import counted
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ def study(
         if out is None and csv is None:
             raise ValueError("--out is missing: name the folder of the new study, or --csv")
         if out is not None:
+            check_not_read(out, [run.resolve() for run in runs])
             check_new_study(out, force=force)
         if csv is not None and csv.exists() and any(csv.iterdir()) and not force:
             raise ValueError(f"{csv}: is not empty; give another folder, or --force to write there")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -103,3 +104,30 @@ def _behind(redirection: str, command: list[str]) -> subprocess.CompletedProcess
         text=True,
         check=False,
     )
+
+
+PRINTING = '''
+from cell.cable.effects import Effect, Parameter
+
+print("hello module")
+
+
+class Pull(Effect):
+    """Constant pull to the side, per metre."""
+
+    name = "pull"
+    parameters = (Parameter("pull_n_m", "N/m", -1.0, 1.0, 0.0, (5e-3,)),)
+
+    def force(cable, at, p):
+        print("hello hook")
+        return p.pull_n_m, 0.0
+'''
+
+
+def test_what_an_own_effect_prints_is_no_part_of_the_json(tmp_path: Path) -> None:
+    path = tmp_path / "pull.py"
+    path.write_text(PRINTING)
+    command = [*CELL, "effects", "--try", str(path), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["format"] == "cable-effects/1"
+    assert "hello module" in done.stderr and "hello hook" in done.stderr

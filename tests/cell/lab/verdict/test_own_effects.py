@@ -200,3 +200,12 @@ def test_two_effects_of_one_name_are_refused(folder, effect_file, tmp_path, comm
     assert "side_pull" in done.output
     done = run_cell(*given, option, shadow, code=2)
     assert "air_drag" in done.output
+
+
+def test_what_an_own_effect_prints_is_no_part_of_the_json(folder, tmp_path):
+    path = tmp_path / "pull.py"
+    path.write_text(PULL.replace("        return", "        print('hello')\n        return"))
+    for command in (["fit", "--with"], ["diagnose", "--try"]):
+        done = run_cell(command[0], folder, *command[1:], path, "--json")
+        assert json.loads(done.stdout)["format"]
+        assert "hello" in done.stderr
