@@ -43,6 +43,7 @@ from cell.study.folder import read_study, write_study
 JPEG_QUALITY = 90
 
 FORMAT = "cable-cycle/1"
+_TIME = "%Y%m%dT%H%M%S.%f"
 _NAME = re.compile(r"(\d{8}T\d{6}\.\d{3})-(\d+)")
 _AS_WRITTEN = "give the file as it was written, or leave the folder out"
 
@@ -235,7 +236,13 @@ class Recorded:
 def cycle_of(folder: Path) -> int | None:
     """Number of the cycle of a folder, from its name; None = it is no cycle's folder."""
     name = _NAME.fullmatch(folder.name)
-    return int(name[2]) if name is not None and folder.is_dir() else None
+    if name is None or not folder.is_dir():
+        return None
+    try:
+        datetime.strptime(name[1], _TIME)
+    except ValueError:
+        return None
+    return int(name[2])
 
 
 def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
@@ -246,7 +253,7 @@ def started_of(folder: Path, state: Mapping[str, Any] | None) -> datetime:
     """
     with suppress(KeyError, TypeError, ValueError, OverflowError):
         return datetime.fromisoformat((state or {})["started"]).astimezone()
-    return datetime.strptime(folder.name.rpartition("-")[0], "%Y%m%dT%H%M%S.%f").astimezone()
+    return datetime.strptime(folder.name.rpartition("-")[0], _TIME).astimezone()
 
 
 def pictures_in(folder: Path) -> list[Path]:

@@ -12,7 +12,7 @@ import pytest
 
 from cell.cable.geometry import Cable, Motion
 from cell.files.input_error import InputError
-from cell.records.folder import Record, RecordError, read_record
+from cell.records.folder import Record, RecordError, history, read_record
 from cell.records.result import Fault, Outcome, Result
 from cell.study.data import Markers, Study, Trial
 
@@ -86,6 +86,12 @@ def test_a_state_is_written_in_order_by_a_thread_and_its_error_is_raised_at_the_
     (record.folder / "state.json").rmdir()
     record.close(Result(2, Outcome.INSERTED, str(record.folder)))
     assert read_record(record.folder).closed
+
+
+def test_a_folder_with_an_impossible_date_is_no_cycle_s(tmp_path: Path) -> None:
+    (tmp_path / "99999999T999999.000-1").mkdir()
+    Record(tmp_path, 2, NOW).state(step="grasp")
+    assert [past.cycle for past in history(tmp_path)] == [2]
 
 
 def test_a_result_goes_through_json_with_its_fault_and_without_nan() -> None:
