@@ -36,7 +36,7 @@ from cell.cli import (
 )
 from cell.cli.logs import about, to_file, to_terminal
 from cell.cli.shared import BAD_INPUT, COMMAND_LINE
-from cell.cli.streams import open_streams, usable_streams
+from cell.cli.streams import open_streams, reporting_reader, usable_streams
 from cell.computer.watched import go_on_watched
 from cell.files.overwriting import CommandLine
 
@@ -144,7 +144,8 @@ def _new_option(command: str, option: str, value: str) -> str:
 def _reporting_interruption() -> Iterator[None]:
     """Report an interruption; Typer alone ends without a message."""
     try:
-        yield
+        with reporting_reader():
+            yield
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise

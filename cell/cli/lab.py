@@ -24,7 +24,6 @@ from cell.cli.shared import (
     tell_notes,
     working,
 )
-from cell.cli.streams import OutputClosedError
 
 if TYPE_CHECKING:
     from cell.lab.data.named_effects import EffectSelection
@@ -257,7 +256,7 @@ def diagnose(args: _Diagnose) -> None:
 
 def _print_early(line: str) -> None:
     """Print a line before the rest is computed; a closed output is reported at the end."""
-    with suppress(OutputClosedError, OSError, SystemExit):
+    with suppress(OSError):
         show(line)
         sys.stdout.flush()
 

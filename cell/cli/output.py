@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperCommand
 
 from cell.cli.shared import NOT_ALL_DONE, STDOUT, answering, unhindered
-from cell.cli.streams import OutputClosedError, emit
+from cell.cli.streams import OutputClosedError, emit, without_reader
 from cell.files.rescue import write_or_rescue
 from cell.files.table import TableData
 
@@ -70,8 +70,9 @@ class JsonCommand(TyperCommand):
 
 
 def print_json(data: Any) -> None:
-    """Print plain data as JSON.  Raises OutputClosedError."""
-    emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+    """Print plain data as JSON.  Raises OutputClosedError: not if only its reader went away."""
+    with without_reader():
+        emit(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 #: A file, and the function that writes it to a path.
@@ -87,14 +88,15 @@ def deliver(printed: Callable[[], None], *files: Delivery) -> None:
     files   None and the standard output are skipped
     raises  OutputClosedError, OSError: the result cannot be printed; its files are written
     """
-    unheard: BaseException | None = None
+    unheard: Exception | None = None
     with answering() as interrupted:
         try:
-            printed()
-            sys.stdout.flush()
+            with without_reader():
+                printed()
+                sys.stdout.flush()
         except KeyboardInterrupt:
             pass
-        except (OutputClosedError, OSError, SystemExit) as error:  # the last is rich's, of a pipe
+        except (OutputClosedError, OSError) as error:
             unheard = error
         with unhindered():
             troubles = [
@@ -147,11 +149,12 @@ def show(*parts: str | TableData, console: Console | None = None) -> None:
         from rich.console import Console
 
         console = Console()
-    for part in parts:
-        if isinstance(part, TableData):
-            _show_table(console, part)
-        else:
-            console.print(part, highlight=False, markup=False, soft_wrap=True)
+    with without_reader():
+        for part in parts:
+            if isinstance(part, TableData):
+                _show_table(console, part)
+            else:
+                console.print(part, highlight=False, markup=False, soft_wrap=True)
 
 
 def _show_table(console: Console, data: TableData) -> None:

@@ -24,7 +24,7 @@ from cell.cli.shared import (
     interrupted_once,
     refuse,
 )
-from cell.cli.streams import emit
+from cell.cli.streams import OutputClosedError, emit, silence
 
 if TYPE_CHECKING:
     from cell.cli.cell_factory import BuiltCell, PlantEnd, Products
@@ -152,7 +152,8 @@ def run(options: RunOptions) -> None:
 
     Exit codes: 0 if all cables were inserted or measured, or if the dry run found no error; 1 if a
     cable was rejected or missed, a cycle failed or the dry run found an error; 2 if the settings or
-    the motion are wrong, or another program commands the devices, and nothing has moved.
+    the motion are wrong, or another program commands the devices, and nothing has moved; 130 if
+    Ctrl-C has ended a cycle.
 
     At a terminal, press h to hold: the motion is finished, then the gripper stays still.  Press u
     to continue.  A hold never clears a stop.  Ctrl-C stops the arm and closes the record.
@@ -180,12 +181,12 @@ def run(options: RunOptions) -> None:
         with (
             owned(settings, options.config),
             emulators_asked_for(settings, options.config, options.seed),
-            interrupted_once() as not_lost,
+            interrupted_once() as interruption,
             ExitStack() as shown,
         ):
 
             def on_step(number: int, step: str) -> None:
-                not_lost()
+                interruption.raise_again()
                 plant.step(number, step)
                 if not options.forever:
                     progress.step(number, step)
@@ -207,7 +208,7 @@ def run(options: RunOptions) -> None:
                     stopped = plant.serve(
                         plan, partial(_print_result, options.as_json), options.config
                     )
-                    raise typer.Exit(NOT_ALL_DONE if stopped else ALL_DONE)
+                    raise typer.Exit(interruption.code(NOT_ALL_DONE) if stopped else ALL_DONE)
                 shown.enter_context(plant.reachable())
                 if options.dry_run:
                     plan = cell.rehearsal(plan, options.speed)
@@ -224,8 +225,8 @@ def run(options: RunOptions) -> None:
     changed = changes(options.out, results, options.config, products)
     for line in (*troubles(results), *cell.notes(), *changed):
         print(line, file=sys.stderr)
-    reached = [r for r in results if r.outcome is plan.aim]
-    raise typer.Exit(ALL_DONE if len(reached) == options.count else NOT_ALL_DONE)
+    reached = sum(r.outcome is plan.aim for r in results)
+    raise typer.Exit(ALL_DONE if reached == options.count else interruption.code(NOT_ALL_DONE))
 
 
 @contextmanager
@@ -237,9 +238,17 @@ def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
     from cell.files.input_error import InputError
     from cell.plant.wire import LinkError
     from cell.records.folder import RecordError
+    from cell.records.result import Outcome
 
     try:
         yield
+    except OutputClosedError as error:
+        if not error.by_reader:
+            raise
+        silence()
+        bad = {Outcome.FAILED, Outcome.MISSED, Outcome.REJECTED, Outcome.UNFIT}
+        right = results and not any(r.outcome in bad for r in results)
+        raise typer.Exit(ALL_DONE if right else NOT_ALL_DONE) from error
     except (InputError, LinkError) as error:
         refuse(error)
     except RecordError as error:  # it cannot even be begun: nothing of this cycle has moved

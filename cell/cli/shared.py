@@ -222,31 +222,44 @@ _ENDING = {
 }
 
 
+class SingleInterruption:
+    """The signal that `interrupted_once` has received, if there was one."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.error: KeyboardInterrupt | None = None
+
+    def raise_again(self) -> None:
+        """Interrupt again: exceptions that are raised in a callback are dropped by Python."""
+        if self.error is not None:
+            raise self.error
+
+    def code(self, usual: int) -> int:
+        """Exit code after Ctrl-C or SIGTERM, otherwise the usual one."""
+        return 128 + self.number if self.number in ANSWERED else usual
+
+
 @contextmanager
-def interrupted_once() -> Iterator[Callable[[], None]]:
+def interrupted_once() -> Iterator[SingleInterruption]:
     """Let the first Ctrl-C, SIGTERM or closed terminal interrupt; ignore all later ones.
 
     Signals that were ignored before, as by `nohup`, stay ignored.
     """
-    received: list[KeyboardInterrupt] = []
+    interruption = SingleInterruption()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        if not received:
+        if interruption.error is None:
+            interruption.number = number
             why = _ENDING[signal.Signals(number)]
-            received.append(KeyboardInterrupt(*([why] if why else [])))
-            raise received[0]
+            interruption.error = KeyboardInterrupt(*([why] if why else []))
+            raise interruption.error
         with suppress(OSError):  # nobody reads it any more
             print("already stopping", file=sys.stderr)
-
-    def not_lost() -> None:
-        """Interrupt again: exceptions that are raised in a callback are dropped by Python."""
-        if received:
-            raise received[0]
 
     heard = [s for s in _ENDING if signal.getsignal(s) is not signal.SIG_IGN]
     former = {s: signal.signal(s, interrupt) for s in heard}
     try:
-        yield not_lost
+        yield interruption
     finally:
         for s, handler in former.items():
             signal.signal(s, handler)

@@ -6,12 +6,13 @@ import codecs
 import errno
 import io
 import os
+import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from cell.cli.shared import NOT_ALL_DONE
+from cell.cli.shared import ALL_DONE, NOT_ALL_DONE
 from cell.files.rescue import why_not_written
 
 #: Signs that the commands print, for terminals that lack them.
@@ -37,6 +38,43 @@ def emit(line: str) -> None:
         print(line, flush=True)
     except OSError as error:
         raise OutputClosedError(error) from error
+
+
+@contextmanager
+def without_reader() -> Iterator[None]:
+    """Print, and go on in silence if the reader goes away: the exit code is that of the work.
+
+    raises  OutputClosedError, OSError: the output is closed or its disk is full
+    """
+    try:
+        with reporting_reader():
+            yield
+    except OutputClosedError as error:
+        if not error.by_reader:
+            raise
+        silence()
+
+
+@contextmanager
+def reporting_reader() -> Iterator[None]:
+    """Raise OutputClosedError if the output's reader went away: Typer and rich would end with 1."""
+    try:
+        yield
+    except BrokenPipeError as error:  # may be that of another pipe
+        poll = select.poll()
+        poll.register(sys.stdout, 0)
+        if not poll.poll(0):
+            raise
+        raise OutputClosedError(error) from error
+    except SystemExit as error:  # of rich, whose console silences the output
+        if not isinstance(error.__context__, BrokenPipeError):
+            raise
+        raise OutputClosedError(error.__context__) from error
+
+
+def silence() -> None:
+    """Drop all further output: the rest of the buffer would fail at exit, with a traceback."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def is_in_foreground(descriptor: int) -> bool:
@@ -85,7 +123,7 @@ def _nothing(flags: int) -> int:
 def usable_streams() -> Iterator[None]:
     """Print with replacements for missing characters; report output that cannot be written.
 
-    Ends with 1 if standard output takes no more; silently if its reader went away, who knows.
+    Ends with 1 if standard output takes no more; if its reader went away, with the work's code.
     """
     codecs.register_error("plain", _plainly)
     for stream in (sys.stdout, sys.stderr):
@@ -104,11 +142,11 @@ def usable_streams() -> Iterator[None]:
             assert isinstance(error, OSError)
             print(why_not_written(error), file=sys.stderr)
             raise SystemExit(NOT_ALL_DONE) from error
-        # The rest of the buffer would fail again at exit, with a traceback.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not closed.by_reader:
-            with suppress(OSError):  # of a terminal that was closed both are gone
-                print(closed, file=sys.stderr)
+        silence()
+        if closed.by_reader:
+            raise (ending or SystemExit(ALL_DONE)) from error
+        with suppress(OSError):  # of a terminal that was closed both are gone
+            print(closed, file=sys.stderr)
         raise SystemExit(NOT_ALL_DONE) from error
     if ending is not None:
         raise ending

@@ -158,13 +158,13 @@ def until_running(runs: Path, cycle: int) -> None:
 
 
 @pytest.mark.parametrize("given", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_arm_closes_the_record_and_ends_with_1(
+def test_a_signal_stops_the_arm_closes_the_record_and_gives_its_code(
     running: Forked, tmp_path: Path, given: signal.Signals
 ) -> None:
     until_running(tmp_path / "runs", 1)
     running.send_signal(given)
     out, err = (said.decode() for said in running.communicate(timeout=180))
-    assert running.returncode == 1, err
+    assert running.returncode == 128 + given, err
     last = json.loads(out.splitlines()[-1])
     assert last["outcome"] == "failed"
     assert last["fault"]["cause"] == "interrupted by a person"

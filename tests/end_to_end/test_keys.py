@@ -119,7 +119,7 @@ def test_a_stop_while_held_stops_and_u_clears_nothing(run: Callable[..., Run]) -
     it.until(is_held)
     it.press(b"\x03u")
     code, (result,) = it.end()
-    assert code == 1
+    assert code == 130
     assert (result["outcome"], result["fault"]["cause"]) == ("failed", "interrupted by a person")
     assert termios.tcgetattr(it.slave) == it.before
 

@@ -100,7 +100,7 @@ def test_ctrl_c_stops_a_cycle_and_the_next_service_waits(start: Start, client: C
     until(client, in_step("lower"))
     process.send_signal(signal.SIGINT)
     assert ended(process) == [("failed", "interrupted by a person")]
-    assert process.returncode == 1
+    assert process.returncode == 130
     process = start()
     fault = waits_for_a_person(client).fault
     assert fault is not None

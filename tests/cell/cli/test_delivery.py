@@ -23,14 +23,11 @@ def test_a_result_is_printed_before_its_files_are_written(tmp_path: Path) -> Non
     assert done == ["printed", "a"]
 
 
-@pytest.mark.parametrize(
-    "unheard", [BrokenPipeError(errno.EPIPE, "Broken pipe"), SystemExit(1)], ids=["plain", "rich"]
-)
-def test_what_cannot_be_printed_is_written(tmp_path: Path, unheard: BaseException) -> None:
+def test_what_cannot_be_printed_is_written(tmp_path: Path) -> None:
     def printed() -> None:
-        raise unheard
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    with pytest.raises(type(unheard)):
+    with pytest.raises(OSError, match="No space left"):
         deliver(printed, (tmp_path / "a.txt", lambda path: write_atomic(path, "all")))
     assert (tmp_path / "a.txt").read_text() == "all"
 

@@ -36,14 +36,42 @@ def test_a_record_without_room_is_not_said_to_be_the_output() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (1, "result\n", "no room: x\n")
 
 
-def test_a_reader_that_goes_away_needs_no_message() -> None:
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        (["schema"], 0),
+        (["--help"], 0),
+        (["effects"], 0),
+        (["effects", "--json"], 0),
+        (["list", "."], 0),
+        (["look", "none"], 2),
+    ],
+)
+def test_a_reader_that_goes_away_changes_no_code(command: list[str], code: int) -> None:
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as closed:
         done = subprocess.run(
-            [*CELL, "schema"], stdout=closed, stderr=subprocess.PIPE, text=True, check=False
+            [*CELL, *command], stdout=closed, stderr=subprocess.PIPE, text=True, check=False
         )
-    assert (done.returncode, done.stderr) == (1, "")
+    assert (done.returncode, done.stderr.count("\n")) == (code, 1 if code else 0)
+
+
+def test_the_code_of_a_result_that_nobody_reads_is_that_of_the_work() -> None:
+    program = (
+        "from cell.cli.output import deliver, print_json, show\n"
+        "from cell.cli.streams import usable_streams\n"
+        "with usable_streams():\n"
+        "    {}\n    raise SystemExit(7)"
+    )
+    printing = ("show('result')", "print_json({})", "deliver(lambda: print('result'))")
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as closed:
+        for printed in printing:
+            command = [sys.executable, "-c", program.format(printed)]
+            done = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, check=False)
+            assert (done.returncode, done.stderr) == (7, b""), printed
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
