@@ -268,16 +268,16 @@ def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[s
 
 
 def _section_of_column(
-    capture: Capture, name: str, meaning: Meaning, root: Root, findings: ImportFindings
+    capture: Capture, name: str, of: Meaning, root: Root, findings: ImportFindings
 ) -> AngleSection:
     """Section of a column of angles; unit, sign and zero are estimated from the cable's root.
 
     If the root turns otherwise, an angle about an axis is none of the clamp's; one without an axis
     is taken as it is called, to be checked.
     """
-    values, unit = capture.column(name), meaning.unit
+    values, unit = capture.column(name), of.unit
     readings = _readings(values, name, unit, root)
-    if not readings and meaning.axis:
+    if not readings and of.axis:
         return _no_angle(name, findings)
     if not readings:
         readings = _readings(values, name, unit, replace(root, angle_rad=np.empty(0), others=()))
