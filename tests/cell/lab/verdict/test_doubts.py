@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cell.api import lab
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Motion
 from cell.identify.gauss_newton import Options, UnsimulatedError
@@ -114,6 +115,7 @@ def test_a_wrong_minimum_far_above_the_noise_says_so(
         base=candidate,
         second_start=lambda: None if elsewhere_n_m2 is None else fit(elsewhere_n_m2),
         second=None,
+        prior_q=None,
     )
     found = {w.code for w in fit_doubts(fits, candidate)}
     assert found - {"beyond_noise"} == codes
@@ -142,6 +144,7 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
             base=first,
             second_start=lambda: second,
             second=second,
+            prior_q=None,
         )
         return {w.code: w.message for w in fit_doubts(fits, first)}
 
@@ -151,6 +154,22 @@ def test_a_fit_whose_second_start_ends_at_another_place_of_an_effect_says_so(loa
     assert "starts_disagree" in said(fit(4e-5, 1.05e-4), 1e-4)
     assert "starts_disagree" not in said(fit(4e-5, 1e-3), 1e-4)
     assert "starts_disagree" not in said(fit(1e-5 + 1e-8, 1e-3), 1e-3)
+
+
+def test_a_prior_of_another_cable_is_said_to_be_contradicted(make_study, tmp_path):
+    """Its error was called a missing effect."""
+    study, path = make_study(seed=3), tmp_path / "model.json"
+    lab.fit(study).write(path)
+    codes = {w.code for w in lab.fit(study, prior=path).warnings}
+    assert not {"prior_contradicted", "beyond_noise"} & codes
+    model = json.loads(path.read_text())
+    for parameter in model["parameters"]:
+        if parameter["name"].startswith("rigidity"):
+            for key in ("value", "low", "high"):
+                parameter[key] *= 1.6
+    path.write_text(json.dumps(model))
+    codes = {w.code for w in lab.fit(study, prior=path).warnings}
+    assert "prior_contradicted" in codes and "beyond_noise" not in codes
 
 
 @pytest.mark.parametrize(("promised", "said"), [(1.9, None), (18.0, "about 3 standard deviations")])
