@@ -88,8 +88,7 @@ def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | No
     size = {k: abs(float(mean_bend[k])) for k in axes}
     chosen = max(axes, key=lambda k: size[k])
     if size[chosen] < _MIN_BEND:
-        direction = np.zeros(dimensions)
-        direction[default] = 1.0
+        direction = np.eye(dimensions)[default]
         chord = shape[-1] - shape[0]
         if abs(chord[default]) > _HANGING * float(np.linalg.norm(chord)):
             direction[default] = -np.sign(chord[default])
@@ -199,7 +198,7 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
         return continuous(angles, angle.offset_rad)
     if (quaternion := orientation(capture, angle)) is not None and angle.body_axis is not None:
         leaving = body_axis(quaternion, angle.body_axis)
-        right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _basis(axes))
+        right, up = (np.append(v, 0.0)[:3] for v in _basis(axes))
         return continuous(_angle(leaving @ right, leaving @ up), angle.offset_rad)
     return None
 

@@ -205,7 +205,7 @@ def _start_and_clock(
     offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
     hand_time = mapping.hand.time or mapping.time
     is_timed = hand_time.seconds_per_unit is not None
-    if is_timed and (mapping.hand.columns is not None or mapping.hand.fixed_m is not None):
+    if is_timed and mapping.hand.columns is not None:
         track = _gripper_path(files, mapping)
         hand_s, hand_m = track.t_s, track.xy_m
         zone_s = _zone_s(name, hand_s, t_s, findings)
@@ -264,14 +264,12 @@ def _markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
 def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
     """The gripper's path, where it is known."""
     section, source = mapping.hand, files.gripper or files.capture
+    assert section.columns is not None  # a proposal has no fixed gripper
     t_s, _ = _times_s(files, mapping)
-    still = np.zeros((len(t_s), 2))
-    if section.columns is None:
-        return GripperTrack(t_s, still + np.array(section.fixed_m, dtype=np.float64), still)
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
     axes, lost = section.axes or mapping.axes, mapping.lost
     at_m = places_m(source, section.columns, axes, scale, lost, unseen=0.0, of_hand=True)
-    angle = clamp_angle_rad(source, section.angle, axes)
+    still, angle = np.zeros((len(t_s), 2)), clamp_angle_rad(source, section.angle, axes)
     if angle is None and (second := section.angle.towards):
         angle = angle_towards(at_m, places_m(source, second, axes, scale, lost, of_hand=True))
     if angle is not None and np.isfinite(angle).any():
