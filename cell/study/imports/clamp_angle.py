@@ -146,12 +146,14 @@ def clamp_angle(
     if four is not None:
         return _section_of_four(capture, four, axes, root, findings)
     if second is not None:
-        return _section_of_line(*second, root, hand, findings)
+        point, shown_rad = second
+        offset = root.offset_rad(shown_rad)
+        sentence = f"the clamp angle is that of the line between {hand!r} and {point.name!r}"
+        findings.guessed("hand.angle", sentence + _offset_clause(offset))
+        return AngleSection(towards=list(point.columns), offset_rad=round(offset, 10))
     angle = round(root.rest_rad, 4) + 0.0
-    sentence = (
-        "no angle of the gripper is in the file: it is taken as constant, "
-        f"{np.degrees(angle):.2f}°, as the markers show at rest"
-    )
+    sentence = "no angle of the gripper is in the file: it is taken as constant, "
+    sentence += f"{np.degrees(angle):.2f}°, as the markers show at rest"
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"
     sentence += "; a measured angle is stated by --clamp-angle"
@@ -204,16 +206,6 @@ def _is_filler(quaternion: FloatArray, hand: str) -> bool:
     return not HAND.intersection(hand.split()) and bool(np.all(known == [0.0, 0.0, 0.0, 1.0]))
 
 
-def _section_of_line(
-    second: Point, shown_rad: float, root: Root, hand: str, findings: ImportFindings
-) -> AngleSection:
-    """The line between two points of the gripper, along the cable or against it."""
-    offset = root.offset_rad(shown_rad)
-    sentence = f"the clamp angle is that of the line between {hand!r} and {second.name!r}"
-    findings.guessed("hand.angle", sentence + _offset_clause(offset))
-    return AngleSection(towards=list(second.columns), offset_rad=round(offset, 10))
-
-
 def _offset_clause(offset_rad: float) -> str:
     """End of a sentence about an offset; empty without one."""
     degrees = np.degrees(offset_rad)
@@ -245,13 +237,10 @@ def _angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]
 def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, Meaning] | None:
     """The column of the clamp angle: the gripper's, about the normal of the plane."""
     chosen = _angles_of_gripper(inside, hand)
-    if not chosen:
-        return None
-    if len(axes.up) == 3 and len(chosen) > 1:
-        normal = np.abs(np.cross(axes.right, axes.up))
-        letter = "xyz"[int(np.argmax(normal))]
+    if len(axes.up) == 3:
+        letter = "xyz"[int(np.argmax(np.abs(np.cross(axes.right, axes.up))))]
         chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
-    return chosen[0]
+    return chosen[0] if chosen else None
 
 
 def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[str, Meaning] | None:
@@ -286,7 +275,7 @@ def _section_of_column(
     best = min(readings, key=lambda reading: reading.cost)
     word, sign, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     needs_offset = best.off_rad > root.agrees_rad
-    all_values = [values, *_in_other_trials(name, root)]
+    all_values = [values, *(c.column(name) for c, _ in root.others if name in c.names)]
     is_nonzero = max(float(np.nanmax(np.abs(v))) for v in all_values) * RADIANS[word] > 1e-3
     which = "positive = down" if sign > 0 else "positive = up, turned round"
     why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
@@ -311,28 +300,24 @@ def _section_of_column(
 def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_Reading]:
     """All interpretations of a column of angles over all trials, the usual ones first."""
     readings = []
-    all_values = [values, *_in_other_trials(name, root)]
-    roots_rad = np.array([root.rest_rad, *(shown for c, shown in root.others if name in c.names)])
+    others = [(c.column(name), shown) for c, shown in root.others if name in c.names]
+    all_values = [values, *(v for v, _ in others)]
+    roots_rad = np.array([root.rest_rad, *(shown for _, shown in others)])
     largest = max(float(np.nanmax(np.abs(v))) for v in all_values)
     for word in [unit] if unit in RADIANS else ["rad", "deg"]:
         if word == "rad" and unit not in RADIANS and largest > 2.0 * np.pi:
             continue
         turned = [continuous(v * RADIANS[word]) for v in all_values]
-        rests_rad = np.array([np.nanmedian(v[: _first(v)]) for v in turned])
+        rests_rad = np.array([np.nanmedian(_first(v)) for v in turned])
         signs = _signs(turned[0], root.angle_rad, root)
         signs = _signs(rests_rad, np.unwrap(roots_rad), root) if len(signs) == 2 else signs
         for sign in signs:
             for quarters in (0, -1, 1, 2):
                 apart_rad = sign * rests_rad + quarters * np.pi / 2.0 - roots_rad
                 off_rad = float(np.mean([abs(wrapped(a)) for a in apart_rad]))
-                rest_rad = float(rests_rad[0])
-                readings.append(_Reading(word, sign, len(signs) == 1, quarters, rest_rad, off_rad))
+                sure, rest_rad = len(signs) == 1, float(rests_rad[0])
+                readings.append(_Reading(word, sign, sure, quarters, rest_rad, off_rad))
     return readings
-
-
-def _in_other_trials(name: str, root: Root) -> list[FloatArray]:
-    """Values of a column in those files of the other trials that have it."""
-    return [c.column(name) for c, _ in root.others if name in c.names]
 
 
 def _signs(values: FloatArray | None, shown_rad: FloatArray, root: Root) -> tuple[float, ...]:
@@ -344,7 +329,7 @@ def _signs(values: FloatArray | None, shown_rad: FloatArray, root: Root) -> tupl
     if values is None or len(values) != len(shown_rad):
         return 1.0, -1.0
     rows = np.flatnonzero(np.isfinite(values) & np.isfinite(shown_rad))
-    if len(rows) < 2:
+    if not len(rows):
         return 1.0, -1.0
     blocks = np.array_split(rows, min(_BLOCKS, len(rows)))
     x, y = (np.array([np.median(v[block]) for block in blocks]) for v in (values, shown_rad))
@@ -444,9 +429,8 @@ def _section_of_body(
     how = f", in the order {section.order}" if section.order else ""
     how = ", a rotation vector" if section.order == "vector" else how
     sentence = f"the gripper turns as {names[0]!r} … say{how}; the cable leaves along its axis "
-    findings.guessed(
-        "hand.angle", f"{sentence}{section.body_axis}{_offset_clause(section.offset_rad)}"
-    )
+    sentence += f"{section.body_axis}{_offset_clause(section.offset_rad)}"
+    findings.guessed("hand.angle", sentence)
     if not same:
         sentence = "it turns opposite to the cable's root: is it in other axes, or the inverse?"
         findings.guessed("hand.angle", sentence)
@@ -460,8 +444,8 @@ def _tilt_rad(capture: Capture, section: AngleSection, axes: AxesSection) -> flo
     known = quaternion[np.linalg.norm(np.nan_to_num(quaternion), axis=1) > 0.5]
     if not len(known):
         return 0.0
-    rotation = Rotation.from_quat(known)
-    turn = (rotation * rotation[: _first(known)].mean().inv()).as_rotvec()
+    initial = Rotation.from_quat(_first(known)).mean()
+    turn = (Rotation.from_quat(known) * initial.inv()).as_rotvec()
     return float(np.sqrt(np.mean(np.sum((turn @ _plane(axes).T) ** 2, axis=1))))
 
 
@@ -470,9 +454,9 @@ def _plane(axes: AxesSection) -> FloatArray:
     return np.array([np.append(v, 0.0)[:3] for v in (axes.right, axes.up)])
 
 
-def _first(values: FloatArray) -> int:
-    """Number of first rows that show the initial value."""
-    return max(1, len(values) // 20)
+def _first(values: FloatArray) -> FloatArray:
+    """The first rows, which show the initial value."""
+    return values[: max(1, len(values) // 20)]
 
 
 def _along_axis(
@@ -482,12 +466,11 @@ def _along_axis(
     quaternion = orientation(capture, form)
     assert quaternion is not None
     leaving = -np.array([np.cos(root.rest_rad), np.sin(root.rest_rad)]) @ _plane(axes)
-    rows = quaternion[np.isfinite(quaternion).all(axis=1)]
-    rows = rows[: _first(rows)]
+    rows = _first(quaternion[np.isfinite(quaternion).all(axis=1)])
     along = {n: float(np.nansum(body_axis(rows, n) @ leaving)) for n in BODY_AXES}
     section = form.model_copy(update={"body_axis": max(BODY_AXES, key=lambda n: along[n])})
     angle = clamp_angle_rad(capture, section, axes)
     assert angle is not None
     known = angle[np.isfinite(angle)]
-    offset = root.offset_rad(float(np.median(known[: _first(known)]))) if len(known) else 0.0
+    offset = root.offset_rad(float(np.median(_first(known)))) if len(known) else 0.0
     return section.model_copy(update={"offset_rad": offset})

@@ -85,8 +85,8 @@ def _lost_rows_text(read: ReadMapping, entry: TrialEntry, capture: Capture) -> s
     row = int(np.argmax(rows))
     return (
         f"{entry.name}: the gripper is taken as not seen in {np.count_nonzero(rows)} rows, the "
-        "first "
-        f"at {capture.counted} {capture.lines[row]}: it jumps to values of `lost` there, and back"
+        f"first at {capture.counted} {capture.lines[row]}: it jumps to values of `lost` there, "
+        "and back"
     )
 
 

@@ -13,7 +13,7 @@ from cell.files.words import first_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle
-from cell.study.imports.column_names import ColumnKind, Meaning, meaning
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.gripper_section import (
     AccelerationSection,
@@ -103,7 +103,7 @@ def _by_acceleration(
     capture: Capture, inside: Contents, axes: AxesSection, root: Root, findings: ImportFindings
 ) -> GripperSection:
     """Section of an accelerometer; up and the unit are estimated by gravity at rest."""
-    channels: tuple[tuple[str, Meaning], ...] = inside.accelerations[:3]
+    channels = inside.accelerations[:3]
     names = [n for n, _ in channels]
     columns: list[str | None] = [*names, *[None] * (2 - len(names))]
     rest = np.nanmedian(capture.at(names)[:_REST_ROWS], axis=0)
@@ -137,15 +137,12 @@ def _axes(
     """Axes of the sensor: up shows gravity at rest, right moves most of the others."""
     count = max(2, len(names))
     right, up = np.zeros(count), np.zeros(count)
-    k = int(np.argmax(np.abs(rest))) if shows_gravity else min(1, len(names) - 1)
-    if len(names) == 1:
-        k = 0 if shows_gravity else 1
+    k = int(np.argmax(np.abs(rest))) if shows_gravity else 1
     up[k] = np.sign(rest[k]) if shows_gravity else 1.0
     spreads = np.full(count, -1.0)
     spreads[: len(names)] = np.nanstd(capture.at(names), axis=0)
     spreads[k] = -2.0
-    most_moving = int(np.argmax(spreads))
-    right[most_moving] = 1.0
+    right[int(np.argmax(spreads))] = 1.0
     shown = names[k] if k < len(names) else "none of these"
     why = "it shows gravity at rest" if shows_gravity else "none shows gravity at rest"
     return AxesSection(right=right.tolist(), up=up.tolist()), f"up is {shown}: {why}"
@@ -180,12 +177,13 @@ def gripper_file(capture: Capture) -> GripperFile:
     named = [p for p in inside.points if p.on_gripper] or list(inside.points)
     if not named and (only := _only_coordinate(capture, inside)) is not None:
         named = [only]
-    named.sort(key=lambda p: (not _COMMANDED.isdisjoint(p.name.split()), "actual" not in p.name))
     if not named:
         return GripperFile(capture, inside, None, None)
-    return GripperFile(
-        capture, inside, named[0], _initial_place(detected_places(capture, named[0].columns, ()))
+    point = min(
+        named, key=lambda p: (not _COMMANDED.isdisjoint(p.name.split()), "actual" not in p.name)
     )
+    initial = _initial_place(detected_places(capture, point.columns, ()))
+    return GripperFile(capture, inside, point, initial)
 
 
 def _only_coordinate(capture: Capture, inside: Contents) -> Point | None:
@@ -252,7 +250,8 @@ _EQUALLY = 0.4
 
 @dataclass(frozen=True, eq=False)
 class NearestMarker:
-    """Motion of the marker next to the gripper, in the trial whose gripper moves most.
+    """Motion of the marker next to the gripper, in the trial whose gripper moves most; empty where
+    the markers' unit or the gripper's position is unknown.
 
     hand   (rows, d) of that trial's gripper, in the unit and axes of its file
     xy_m   (frames, 2) of the marker in the study's plane
@@ -278,13 +277,12 @@ def section_of_file(
     axes: AxesSection,
     root: Root,
     scale: float | None,
-    nearest: NearestMarker | None,
+    nearest: NearestMarker,
     lasts_s: float | None,
     findings: ImportFindings,
 ) -> GripperSection:
     """The section of a gripper with its own file; without a position if the file has none.
 
-    nearest   None = the markers' unit or the gripper's position is unknown
     lasts_s   duration of the first trial by its markers; None = unknown
     findings  extended by those about the gripper
     """
@@ -312,7 +310,7 @@ def section_of_file(
     elif len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
         own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
         findings.guessed("hand.axes", sentence)
-    elif nearest is not None and (own := _reversed_axes(axes, nearest)) is not None:
+    elif (own := _reversed_axes(axes, nearest)) is not None:
         sentence = "the gripper's file has its own axes: they are turned round, so that it and the "
         findings.guessed("hand.axes", f"{sentence}marker next to it move the same way")
     unit, unit_finding = _unit_of_place(point, scale, nearest)
@@ -322,22 +320,20 @@ def section_of_file(
 
 
 def _unit_of_place(
-    point: Point, scale: float | None, nearest: NearestMarker | None
+    point: Point, scale: float | None, nearest: NearestMarker
 ) -> tuple[float | None, Finding]:
     """Metres per unit of the gripper's position: it moves about as far as the nearest marker.
 
     scale  of the markers
     """
-    marker_m = 0.0 if nearest is None else reach(nearest.xy_m)
-    span = 0.0 if nearest is None else reach(nearest.hand)
+    marker_m, span = reach(nearest.xy_m), reach(nearest.hand)
     stated = METRES.get(point.unit)
     as_stated = Finding("hand", f"lengths are in {point.unit}, as it says", Sure.STATED)
     names = {METRES[n]: n for n in ("m", "mm", "cm", "in")}
-    tried = [u for u in (scale, *names) if u is not None]
-    fitting = [u for u in tried if span > 0.0 and 1 / _MAX_RATIO < u * span / marker_m < _MAX_RATIO]
-    off = [abs(np.log(u * span / marker_m)) for u in fitting]
-    fitting = [u for u, each in zip(fitting, off, strict=True) if each < min(off) + _EQUALLY]
-    if not span > 0.0 or not marker_m > 0.0 or not fitting:
+    tried = [u for u in (scale, *names) if u is not None and span > 0.0 and marker_m > 0.0]
+    off = {u: abs(float(np.log(u * span / marker_m))) for u in tried}
+    fitting = [u for u in tried if off[u] < min(np.log(_MAX_RATIO), min(off.values()) + _EQUALLY)]
+    if not fitting:
         if stated is not None:
             return stated, as_stated
         sentence = "its unit of length is taken as that of the markers"
@@ -354,9 +350,9 @@ def _unit_of_place(
     return stated, Finding("hand.metres_per_unit", sentence, Sure.MISSING)
 
 
-def _leaves_plane(axes: AxesSection, nearest: NearestMarker | None) -> bool:
+def _leaves_plane(axes: AxesSection, nearest: NearestMarker) -> bool:
     """Whether the gripper moves across the markers' plane: then its file has other axes."""
-    if nearest is None or len(axes.up) < 3:
+    if len(axes.up) < 3:
         return False
     across = nearest.hand @ np.cross(axes.right, axes.up)
     return reach(across[:, None]) > _OUT_OF_PLANE * reach(nearest.hand)
@@ -366,13 +362,9 @@ def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | N
     """The markers' axes, reversed where the gripper moves opposite to the nearest marker, as in an
     image whose rows count down; None = both move the same way."""
     plane = np.array([axes.right, axes.up])
-    directions = []
-    for path in (nearest.hand @ plane.T, nearest.xy_m):
-        known = path[np.isfinite(path).all(axis=1)]
-        if len(known) < 2 or not reach(known) > 0.0:
-            return None
-        directions.append((known[-1] - known[0]) / reach(known))
-    hand, marker = directions
+    hand, marker = _way(nearest.hand @ plane.T), _way(nearest.xy_m)
+    if hand is None or marker is None:
+        return None
     opposite = (np.abs(hand) > _DIRECTION_TOL) & (np.abs(hand + marker) < _DIRECTION_TOL)
     alike = np.abs(np.where(opposite, -hand, hand) - marker) < _DIRECTION_TOL
     if not opposite.any() or not alike.all():
@@ -381,25 +373,28 @@ def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | N
     return AxesSection(right=right.tolist(), up=up.tolist())
 
 
-def _one_axis(
-    name: str, nearest: NearestMarker | None
-) -> tuple[list[str | None], AxesSection, str]:
+def _way(path: FloatArray) -> FloatArray | None:
+    """(d,) from the first to the last position (rows, d), over their span; None = no motion."""
+    known = path[np.isfinite(path).all(axis=1)]
+    return (known[-1] - known[0]) / reach(known) if reach(known) > 0.0 else None
+
+
+def _one_axis(name: str, nearest: NearestMarker) -> tuple[list[str | None], AxesSection, str]:
     """Columns and axes of a sensor of one coordinate: the nearest marker moves along it."""
-    moves = () if nearest is None else nearest.moves
-    towards = sum((hand[0] * marker for hand, marker in moves), np.zeros(2))
+    towards = sum((hand[0] * marker for hand, marker in nearest.moves), np.zeros(2))
     axis = int(not abs(towards[0]) > abs(towards[1]))
     plane = np.eye(2)
     plane[axis] *= np.sign(towards[axis]) or 1.0
     columns: list[str | None] = [None, None]
     columns[axis] = name
     way = ("right", "up")[axis] + (", reversed" if plane[axis, axis] < 0.0 else "")
-    why = "as the marker next to it moves" if moves else "unless it moves to the side"
+    why = "as the marker next to it moves" if nearest.moves else "unless it moves to the side"
     sentence = f"{name!r} is the gripper's place along {way}, {why}; along null it stays at "
     sentence += "hand.origin_m"
     return columns, AxesSection(right=plane[0].tolist(), up=plane[1].tolist()), sentence
 
 
-def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSection, str]:
+def _own_axes(places: FloatArray, nearest: NearestMarker) -> tuple[AxesSection, str]:
     """Right and up along the columns of a gripper whose axes are not the markers' axes.
 
     Up is the third axis of a robot; in motion capture it may be the second, if the gripper rises
@@ -415,36 +410,28 @@ def _own_axes(places: FloatArray, nearest: NearestMarker | None) -> tuple[AxesSe
     flat = [0, 3 - up]
     sentence = f"the gripper's file has its own axes: up is its {'second' if up == 1 else 'third'}"
     right = np.array([1.0, 0.0, 0.0])
-    moves = () if nearest is None else nearest.moves
+    moves, how = nearest.moves, ", right the level direction in which it moves"
     towards = sum((marker[0] * hand[flat] for hand, marker in moves), np.zeros(2))
     most = sum(abs(float(marker[0])) * float(np.hypot(*hand[flat])) for hand, marker in moves)
     goes = any(np.hypot(*hand[flat]) > _ONE_AXIS * np.linalg.norm(hand) for hand, _ in moves)
     if goes and np.hypot(*towards) > 0.5 * most:
         right[flat] = towards / np.hypot(*towards)
-        return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
-    if np.hypot(*span[flat]) <= _ONE_AXIS * span[up]:
-        return _plane_of(right, up), f"{sentence}; it only moves along that: right is its first"
-    level = known[:, flat] - known[:, flat].mean(axis=0)
-    right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
-    return _plane_of(right, up), f"{sentence}, right the level direction in which it moves"
+    elif np.hypot(*span[flat]) <= _ONE_AXIS * span[up]:
+        how = "; it only moves along that: right is its first"
+    else:
+        level = known[:, flat] - known[:, flat].mean(axis=0)
+        right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
+    rounded = [round(float(v), 7) + 0.0 for v in right]
+    return AxesSection(right=rounded, up=np.eye(3)[up].tolist()), sentence + how
 
 
-def _up_axis(nearest: NearestMarker | None) -> int:
+def _up_axis(nearest: NearestMarker) -> int:
     """Index of the up axis: 2, or 1 if only that coordinate rises as much as the nearest marker."""
-    if nearest is None:
+    hand, marker = _way(nearest.hand), _way(nearest.xy_m)
+    if hand is None or marker is None:
         return 2
-    hand, marker = (v[np.isfinite(v).all(axis=1)] for v in (nearest.hand, nearest.xy_m))
-    if not len(hand) or not len(marker) or not reach(hand) > 0.0 or not reach(marker) > 0.0:
-        return 2
-    rises = (hand[-1] - hand[0]) / reach(hand)
-    off = np.abs(rises - (marker[-1, 1] - marker[0, 1]) / reach(marker))
+    off = np.abs(hand - marker[1])
     return 1 if off[1] < _DIRECTION_TOL and off[2] > 2.0 * _DIRECTION_TOL else 2
-
-
-def _plane_of(right: FloatArray, up: int) -> AxesSection:
-    above = [0.0, 0.0, 0.0]
-    above[up] = 1.0
-    return AxesSection(right=[round(float(v), 7) + 0.0 for v in right], up=above)
 
 
 def reach(places: FloatArray) -> float:

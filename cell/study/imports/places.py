@@ -44,7 +44,6 @@ def find_axes(
     shape   (points, d) of the cable at rest, or its mean
     others  shapes of the other trials
     """
-    dimensions = places.shape[2]
     normal, depth = _normal(places)
     if normal is not None:
         shape, *others = (s - np.outer(s @ normal, normal) for s in (shape, *others))
@@ -56,8 +55,8 @@ def find_axes(
     findings.append(Finding("axes.up", f"up is {_words(up.direction)}: {up.why}", up.sure))
     sentence = f"right is {_words(right)}: so the cable leaves the gripper to the left{remark}"
     findings.shown("axes.right", sentence)
-    section = AxesSection(right=_plain(right, dimensions), up=_plain(up.direction, dimensions))
-    return section, findings
+    plain = [[round(float(v), 7) + 0.0 for v in d] for d in (right, up.direction)]
+    return AxesSection(right=plain[0], up=plain[1]), findings
 
 
 def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
@@ -80,18 +79,16 @@ def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
 def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | None) -> _Up:
     """Direction of up: the file axis against which the cable bends from its clamp on."""
     dimensions = shape.shape[1]
-    axes = [k for k in range(dimensions) if normal is None or _in_plane(normal, k)]
-    if not axes and normal is not None:  # the plane is oblique to all axes
-        axes = [int(np.argmin(np.abs(normal)))]
-    default = 1 if dimensions == 2 or 2 not in axes else 2
-    if default not in axes:
-        default = axes[0]
+    axes = list(range(dimensions))
+    if normal is not None:  # if the plane is oblique to all axes, the one nearest to it
+        in_plane = np.sqrt(1.0 - np.minimum(1.0, normal**2)) > _IN_PLANE
+        axes = [k for k in axes if in_plane[k]] or [int(np.argmin(np.abs(normal)))]
+    default = next(k for k in (2, 1, 0) if k in axes)
     mean_bend = np.mean([bend(s) for s in (shape, *others)], axis=0)
     size = {k: abs(float(mean_bend[k])) for k in axes}
     chosen = max(axes, key=lambda k: size[k])
     if size[chosen] < _MIN_BEND:
-        direction = np.zeros(dimensions)
-        direction[default] = 1.0
+        direction = np.eye(dimensions)[default]
         chord = shape[-1] - shape[0]
         if abs(chord[default]) > _HANGING * float(np.linalg.norm(chord)):
             direction[default] = -np.sign(chord[default])
@@ -103,10 +100,6 @@ def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | No
     direction[chosen] = -np.sign(mean_bend[chosen])
     sure = Sure.SHOWN if chosen == default else Sure.GUESSED
     return _Up(direction, sure, "at rest the cable bends the other way, as gravity does it")
-
-
-def _in_plane(normal: FloatArray, axis: int) -> bool:
-    return bool(np.sqrt(1.0 - min(1.0, float(normal[axis] ** 2))) > _IN_PLANE)
 
 
 def _right(
@@ -140,10 +133,6 @@ def _words(direction: FloatArray) -> str:
     if len(direction) == 3:
         return f"{'−' if backwards else '+'}{_LETTERS[nearest]} of the file"
     return f"the {('first', 'second')[nearest]} coordinate{', reversed' if backwards else ''}"
-
-
-def _plain(direction: FloatArray, dimensions: int) -> list[float]:
-    return [round(float(v), 7) + 0.0 for v in direction[:dimensions]]
 
 
 #: Maximum mean angle that is not shifted by full turns, rad.  It admits ranges of ±180° and of 0 to
@@ -209,7 +198,7 @@ def clamp_angle_rad(capture: Capture, angle: AngleSection, axes: AxesSection) ->
         return continuous(angles, angle.offset_rad)
     if (quaternion := orientation(capture, angle)) is not None and angle.body_axis is not None:
         leaving = body_axis(quaternion, angle.body_axis)
-        right, up = (np.resize(v, 3) if len(v) == 3 else np.append(v, 0.0) for v in _basis(axes))
+        right, up = (np.append(v, 0.0)[:3] for v in _basis(axes))
         return continuous(_angle(leaving @ right, leaving @ up), angle.offset_rad)
     return None
 

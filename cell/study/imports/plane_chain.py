@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,11 +57,9 @@ def scene_of(
     # From the mean shape at rest: noise lengthens the curve through points of a single row.
     at_rest = resting(xy_m) is not None and np.isfinite(shape).all()
     lengths = arc_lengths(shape[None] if at_rest or rest is not None else xy_m)
-    if rest is not None and len(shape) <= A_LINE:
-        lengths = lengths[1:]  # the sag between the gripper and one marker is unknown
-    from_gripper = with_hand or (rest is not None and len(shape) > A_LINE)
-    # Else the first marker is at an unknown distance from the gripper.
-    return PlaneChain(xy_m, lengths[1:] if from_gripper else lengths, shape, from_gripper)
+    arcs = lengths[1:] if with_hand or rest is not None else lengths
+    # The sag between a gripper and one marker is unknown, as is where a gripper elsewhere is.
+    return PlaneChain(xy_m, arcs, shape, with_hand or (rest is not None and len(shape) > A_LINE))
 
 
 def detected_points(capture: Capture, points: Sequence[Point], chosen: Chosen) -> FloatArray:
@@ -73,63 +71,49 @@ def detected_points(capture: Capture, points: Sequence[Point], chosen: Chosen) -
     )
 
 
-def chain_from(raw: FloatArray, rest: FloatArray | None) -> FloatArray:
-    """Positions (rows, points, d), after the gripper's rest position (d,) if that is known."""
-    if rest is None:
-        return raw
-    return np.concatenate([np.broadcast_to(rest, (len(raw), 1, len(rest))), raw], axis=1)
-
-
 def shape_at_rest(raw: FloatArray) -> FloatArray:
     """(points, d) median shape at rest, else of all visible positions."""
     rest = resting(raw)
     return middle(raw if rest is None else rest)
 
 
-def shapes_of(
-    trials: Sequence[Files], points: Sequence[Point], chosen: Chosen
-) -> Iterator[FloatArray]:
+def shapes_of(trials: Sequence[Files], points: Sequence[Point], chosen: Chosen) -> list[FloatArray]:
     """(points, d) shapes at rest of the trials whose files have the same columns."""
-    for files in trials:
-        if {name for p in points for name in p.columns} <= set(files.capture.names):
-            yield shape_at_rest(detected_points(files.capture, points, chosen))
+    required = {name for p in points for name in p.columns}
+    captures = [t.capture for t in trials if required <= set(t.capture.names)]
+    shapes = [shape_at_rest(detected_points(c, points, chosen)) for c in captures]
+    return [s for s in shapes if np.isfinite(s).all()]
 
 
 def root_at_rest(scene: PlaneChain, arcs: Sequence[float | None]) -> Root:
-    """Clamp angle from the markers at rest, where they share no rows with the gripper.
+    """Clamp angle from the markers at rest; if the first is away from the gripper, the curve is
+    extrapolated to it.
 
-    If the first marker is away from the gripper, the curve is extrapolated to it.
+    The error is estimated by a curve without the second point: it grows with the power of the
+    distance that is the curve's order.
     """
     shape = scene.shape
-    angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
-    error_rad = _error_rad(angle, shape)
+    is_line, error_rad = len(shape) <= A_LINE, 0.0
     if (curve := curve_from_gripper(scene, arcs)) is not None:
         angle = angle_of(curve(0.0, 1))
         coarse = CubicSpline(np.delete(curve.x, 1), np.delete(shape, 1, axis=0))
         error_rad = abs(wrapped(angle - angle_of(coarse(0.0, 1))))
-    return Root(np.full(1, np.nan), angle, len(shape) <= A_LINE, error_rad=error_rad)
+    else:
+        angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
+        if not is_line:
+            coarse_rad = angle_of(root_direction(np.delete(shape, 1, axis=0)))
+            order = min(3, len(shape) - 1)
+            error_rad = abs(wrapped(angle - coarse_rad)) / (2.0**order - 1.0)
+    return Root(np.full(1, np.nan), angle, is_line, error_rad)
 
 
-def _error_rad(angle_rad: float, shape: FloatArray) -> float:
-    """Estimated error of a root's angle by a curve, from one without the second point.
-
-    Its error grows with the power of the distance that is the curve's order.
-    """
-    if len(shape) <= A_LINE:
-        return 0.0
-    coarse_rad = angle_of(root_direction(np.delete(shape, 1, axis=0)))
-    return abs(wrapped(angle_rad - coarse_rad)) / (2.0 ** min(3, len(shape) - 1) - 1.0)
-
-
-def root_in_rows(scene: PlaneChain) -> Root:
-    """Clamp angle from the cable's root, in rows throughout the trial and at rest."""
+def root_in_rows(scene: PlaneChain) -> FloatArray:
+    """(rows,) clamp angle from the cable's root in some of the rows, else nan."""
     angle = np.full(len(scene.xy_m), np.nan)
     complete = np.flatnonzero(np.isfinite(scene.xy_m).all(axis=(1, 2)))
     complete = complete[:: max(1, len(complete) // _MAX_ROWS)]
-    directions = [root_direction(shape) for shape in scene.xy_m[complete]]
-    angle[complete] = np.unwrap([angle_of(d) for d in directions])
-    rest_rad, is_line = angle_of(root_direction(scene.shape)), len(scene.shape) <= A_LINE
-    return Root(angle, rest_rad, is_line, error_rad=_error_rad(rest_rad, scene.shape))
+    angle[complete] = np.unwrap([angle_of(root_direction(s)) for s in scene.xy_m[complete]])
+    return angle
 
 
 def roots_of_others(
@@ -146,8 +130,8 @@ def roots_of_others(
         raw = detected_points(files.capture, points, chosen)
         scene = scene_of(raw, axes, 1.0, None, chosen.gripper is not None)
         if resting(raw) is not None and np.isfinite(scene.shape).all():
-            root = root_at_rest(scene, arcs)
-            roots.append((files.gripper or files.capture, root.rest_rad))
+            rest_rad = root_at_rest(scene, arcs).rest_rad
+            roots.append((files.gripper or files.capture, rest_rad))
     return tuple(roots)
 
 

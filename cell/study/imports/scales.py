@@ -65,8 +65,8 @@ def time_section(
     first = float(capture.column(column)[0]) * (unit or 1.0)
     zero = counts or abs(first) > _EPOCH_S
     if unit is None:
-        sentence = f"time counts in steps of {step:g} in column {column!r}: {why}"
-        sentence += "; give time.seconds_per_unit"
+        sentence = f"time counts in steps of {step:g} in column {column!r}: {why}; give "
+        sentence += "time.seconds_per_unit"
         sentence += "" if rate_hz is not None else ", or --rate"
     else:
         shown = f"{1.0 / (step * unit):.4g} rows a second" if step > 0.0 else "no steady rate"
@@ -81,16 +81,16 @@ def is_coarse(times: FloatArray) -> bool:
     return bool(len(steps) and np.all(steps >= 0.0) and 2 * np.count_nonzero(steps) < len(steps))
 
 
+def counts_frames(time: TimeSection) -> bool:
+    """Whether a column of times counts frames."""
+    return meaning(CapturedColumn(time.column)).kind is ColumnKind.FRAME
+
+
 def other_rate(capture: Capture, section: TimeSection) -> str:
     """Message if the mapping's row rate differs from the file's; else empty."""
     unit, rate_hz = section.seconds_per_unit, capture.rate_hz
-    counts = (
-        section.column == ROW_NUMBER
-        or meaning(CapturedColumn(section.column)).kind is ColumnKind.FRAME
-    )
-    if not counts or unit is None or rate_hz is None:
-        return ""
-    if abs(unit * rate_hz - 1.0) <= _SAME_RATE:
+    counts = section.column == ROW_NUMBER or counts_frames(section)
+    if not counts or unit is None or rate_hz is None or abs(unit * rate_hz - 1.0) <= _SAME_RATE:
         return ""
     return (
         f"{capture.path}: states {rate_hz:g} rows a second, the mapping makes {1.0 / unit:.6g}; "
@@ -130,16 +130,15 @@ def _second(
             return None, Sure.MISSING, "it counts rows, and no rate is stated"
         return 1.0 / rate_hz, Sure.STATED, f"{rate_hz:g} rows a second are stated"
     by_steps, sure, why = _by_steps(step, steps)
-    if rate_hz is not None and step > 0.0:
-        target = 1.0 / rate_hz / step
-        units = (SECONDS | _DAY).values()
-        unit = min(units, key=lambda u: abs(np.log(u / target)))
-        if abs(np.log(unit / target)) <= _RATE_ERROR:
-            return unit, Sure.STATED, f"{rate_hz:g} rows a second are stated"
+    if rate_hz is None or not step > 0.0:
+        return by_steps, sure, why
+    target = 1.0 / rate_hz / step
+    unit = min((SECONDS | _DAY).values(), key=lambda u: abs(np.log(u / target)))
+    if abs(np.log(unit / target)) > _RATE_ERROR:
         if wanted_hz is None and by_steps and abs(np.log(by_steps / target)) < np.log(_RATE_RATIO):
             return by_steps, sure, f"{why}, though the file states {rate_hz:g} rows a second"
-        return float(f"{target:.6g}"), Sure.STATED, f"{rate_hz:g} rows a second are stated"
-    return by_steps, sure, why
+        unit = float(f"{target:.6g}")
+    return unit, Sure.STATED, f"{rate_hz:g} rows a second are stated"
 
 
 def _by_steps(step: float, steps: FloatArray) -> tuple[float | None, Sure, str]:

@@ -13,8 +13,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.study.imports.alignment import Alignment, GripperTrack, align, align_root
-from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings, Sure
-from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.capture import Capture, ImportFindings, Sure
 from cell.study.imports.contents import Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_path import interpolated
@@ -23,7 +22,7 @@ from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
 from cell.study.imports.row_trials import TrialLabel
-from cell.study.imports.scales import time_section
+from cell.study.imports.scales import counts_frames, time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
 from cell.study.series import span_m
 
@@ -70,7 +69,7 @@ def trial_entries(
     mapping: Mapping,
     rate_hz: float | None,
     findings: ImportFindings,
-    clamp: Point | None = None,
+    clamp: Point | None,
 ) -> list[TrialEntry]:
     """Start, role and clock of every trial, and entries in which its files differ.
 
@@ -148,8 +147,6 @@ NEAR_HAND = 0.35
 _HALF_HOUR_S, _FARTHEST_S = 1800.0, 14 * 3600.0
 #: Minimum displacement of a moving gripper, as a fraction of the cable's length.
 _MIN_MOTION = 0.01
-
-
 #: Factor on the tolerances of a clock offset that several trials in the rows of the same files
 #: show, as these must agree.
 _JOINT = 0.5
@@ -163,11 +160,10 @@ def _shared_clock(
     None = they are not, or their motions show no common offset.
     """
     time, hand_time = mapping.time, mapping.hand.time or mapping.time
-    known = None not in (time.seconds_per_unit, hand_time.seconds_per_unit, mapping.metres_per_unit)
     file_pairs = {(t.file, t.gripper_file) for t in trials if t.only and t.gripper is not None}
-    if len(trials) < 2 or len(file_pairs) != 1 or not all(t.only for t in trials) or not known:
+    if len(trials) < 2 or len(file_pairs) != 1 or not all(t.only for t in trials):
         return None
-    if mapping.hand.columns is None or _counts(time) or _counts(hand_time):
+    if not _comparable(mapping) or counts_frames(time) or counts_frames(hand_time):
         return None
     shifts, weights, steps = [], [], []
     for files in trials:
@@ -184,10 +180,8 @@ def _shared_clock(
     spread_s = float(np.sqrt(np.average((np.array(shifts) - shift_s) ** 2, weights=weights)))
     if not max(steps) * _JOINT * ROWS_OFF < abs(shift_s) or spread_s > _JOINT * max(steps):
         return None
-    sentence = (
-        f"{shift_s:+g} s are added to the gripper's clock in all trials, so that both move at "
-    )
-    findings.guessed("clock_offset_s", f"{sentence}once: each shows it, and they have one clock")
+    sentence = f"{shift_s:+g} s are added to the gripper's clock in all trials, so that both move "
+    findings.guessed("clock_offset_s", f"{sentence}at once: each shows it, and they have one clock")
     return shift_s
 
 
@@ -196,26 +190,22 @@ def _start_and_clock(
     mapping: Mapping,
     clamp: Point | None,
     findings: ImportFindings,
-    shared_s: float | None = None,
+    shared_s: float | None,
 ) -> dict[str, Any]:
     """Entries `start`, `release_s` and `clock_offset_s` of a trial.
 
     shared_s  common clock offset of all trials, s; None = estimate that of this trial
-
     raises  InputError: times are in disorder, or a column is missing
     """
     name, capture, hand = files.name, files.capture, files.gripper
-    scale = mapping.metres_per_unit or 1.0
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
     t_s = t_s - zero_s
-    xy_m = np.stack(
-        [places_m(capture, m.columns, mapping.axes, scale, mapping.lost) for m in mapping.markers],
-        axis=1,
-    )
+    xy_m = _markers_m(capture, mapping)
     offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
-    is_timed = (mapping.hand.time or mapping.time).seconds_per_unit is not None
-    if is_timed and (mapping.hand.columns is not None or mapping.hand.fixed_m is not None):
+    hand_time = mapping.hand.time or mapping.time
+    is_timed = hand_time.seconds_per_unit is not None
+    if is_timed and mapping.hand.columns is not None:
         track = _gripper_path(files, mapping)
         hand_s, hand_m = track.t_s, track.xy_m
         zone_s = _zone_s(name, hand_s, t_s, findings)
@@ -225,8 +215,8 @@ def _start_and_clock(
         elif hand is not None:
             offset_s = _row_offset(name, capture, t_s, hand_s, findings)
         if hand is not None and not offset_s:
-            counts = _counts(mapping.time) and not _counts(mapping.hand.time or mapping.time)
-            first_s = zero_s if counts else 0.0
+            is_counted = counts_frames(mapping.time) and not counts_frames(hand_time)
+            first_s = zero_s if is_counted else 0.0
             offset_s = _clock(files, mapping, clamp, first_s + zone_s, findings)
             if first_s:
                 offset_s = round(first_s + offset_s, 6)
@@ -258,22 +248,28 @@ def _zone_s(name: str, hand_s: FloatArray, frame_s: FloatArray, findings: Import
     return zone_s
 
 
-def _counts(time: TimeSection) -> bool:
-    """Whether a column of times counts frames."""
-    return meaning(CapturedColumn(time.column)).kind is ColumnKind.FRAME
+def _comparable(mapping: Mapping) -> bool:
+    """Whether the gripper's columns, both files' times and the unit of length are known."""
+    times = mapping.time, mapping.hand.time or mapping.time
+    known = mapping.hand.columns is not None and mapping.metres_per_unit is not None
+    return known and all(t.seconds_per_unit for t in times)
+
+
+def _markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
+    """(rows, markers, 2) positions, nan where they are not seen."""
+    frame = mapping.axes, mapping.metres_per_unit or 1.0, mapping.lost
+    return np.stack([places_m(capture, m.columns, *frame) for m in mapping.markers], axis=1)
 
 
 def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
     """The gripper's path, where it is known."""
     section, source = mapping.hand, files.gripper or files.capture
+    assert section.columns is not None  # a proposal has no fixed gripper
     t_s, _ = _times_s(files, mapping)
-    still = np.zeros((len(t_s), 2))
-    if section.columns is None:
-        return GripperTrack(t_s, still + np.array(section.fixed_m, dtype=np.float64), still)
     scale = section.metres_per_unit or mapping.metres_per_unit or 1.0
     axes, lost = section.axes or mapping.axes, mapping.lost
     at_m = places_m(source, section.columns, axes, scale, lost, unseen=0.0, of_hand=True)
-    angle = clamp_angle_rad(source, section.angle, axes)
+    still, angle = np.zeros((len(t_s), 2)), clamp_angle_rad(source, section.angle, axes)
     if angle is None and (second := section.angle.towards):
         angle = angle_towards(at_m, places_m(source, second, axes, scale, lost, of_hand=True))
     if angle is not None and np.isfinite(angle).any():
@@ -352,20 +348,18 @@ def _aligned(
 
     None = the gripper hardly moves, or no marker is near it
     """
-    capture, scale = files.capture, mapping.metres_per_unit or 1.0
+    capture, frame = files.capture, (mapping.axes, mapping.metres_per_unit or 1.0, mapping.lost)
     hand, (_, t_s) = _gripper_path(files, mapping), _times_s(files, mapping)
-    axes, lost = mapping.axes, mapping.lost
     if clamp is not None and set(clamp.columns) <= set(capture.names):
-        clamp_m = places_m(capture, clamp.columns, axes, scale, lost, of_hand=True)
+        clamp_m = places_m(capture, clamp.columns, *frame, of_hand=True)
         aligned = align(hand.t_s, hand.xy_m, t_s, clamp_m, free_gain)
         if aligned is not None and aligned.unexplained < _SAME_POINT:
             return aligned, True
     first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
     if first is None or length_m is None or first > NEAR_HAND * length_m:
         return None, False
-    at_m = [places_m(capture, m.columns, axes, scale, lost) for m in mapping.markers]
     arcs_m = [m.arc_length_m for m in mapping.markers]
-    return align_root(hand, t_s, np.stack(at_m, axis=1), arcs_m, free_gain), False
+    return align_root(hand, t_s, _markers_m(capture, mapping), arcs_m, free_gain), False
 
 
 def stroke_gain(trials: Sequence[Files], mapping: Mapping, clamp: Point | None) -> float | None:
@@ -374,21 +368,20 @@ def stroke_gain(trials: Sequence[Files], mapping: Mapping, clamp: Point | None) 
     clamp  point of the gripper in the markers' file
     """
     gains, weights = [], []
-    times = mapping.time, mapping.hand.time or mapping.time
-    known = mapping.hand.columns is not None and all(t.seconds_per_unit for t in times)
-    for files in trials if known else ():
+    for files in trials if _comparable(mapping) else ():
         if files.gripper is None:
             continue
         aligned = _aligned(files, mapping, clamp, free_gain=True)[0]
         if aligned is not None and aligned.unexplained < _SAME_POINT:
             gains.append(aligned.gain)
-            hand = _gripper_path(files, mapping)
-            weights.append(span_m(hand.xy_m) ** 2)
+            weights.append(span_m(_gripper_path(files, mapping).xy_m) ** 2)
     return float(np.average(gains, weights=weights)) if gains else None
 
 
 def origin_by_clamp(files: Files, mapping: Mapping, clamp: Point) -> FloatArray | None:
     """(2,) of the gripper's file in the study's frame, m; None = the paths are not alike."""
+    if files.gripper is None or not _comparable(mapping):
+        return None
     aligned, by_clamp = _aligned(files, mapping, clamp)
     return aligned.offset_m if aligned is not None and by_clamp else None
 

@@ -13,7 +13,7 @@ from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
-from cell.study.imports.clamp_angle import clamp_angle, stated_angle
+from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
 from cell.study.imports.convert import times_s
@@ -33,14 +33,12 @@ from cell.study.imports.gripper_section import (
     AxesSection,
     GripperSection,
     TextSection,
-    TimeSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
     A_LINE,
     PlaneChain,
-    chain_from,
     curve_from_gripper,
     detected_points,
     root_at_rest,
@@ -137,29 +135,24 @@ def _proposed(
     shape = shape if rest is None else np.vstack([rest, shape])
     extent = float(np.linalg.norm(np.diff(shape, axis=0), axis=1).sum())
     scale, finding = metres_per_unit(units, extent, stated.free_length_m, by_stroke)
-    others = [s for s in shapes_of(trials[1:], points, chosen) if np.isfinite(s).all()]
     is_stated = by_stroke is None and finding.sure not in (Sure.SHOWN, Sure.GUESSED)
-    axes, of_axes = find_axes(raw, shape, others)
+    axes, of_axes = find_axes(raw, shape, shapes_of(trials[1:], points, chosen))
     findings += [_of_image(finding, axes, raw), *of_axes]
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
-    known_rest = rest is not None and scene.from_gripper
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
-    chain_m = chain_from(scene.xy_m, scene.shape[0] if known_rest else None)
-    stds = _arc_stds(chain_m, scene, stated, arcs, findings)
-    nearest = None
-    if gripper is not None and gripper.point is not None and scale is not None:
-        nearest = _nearest(trials, gripper.point, chosen, axes, scale)
+    stds = _arc_stds(scene, stated, arcs, findings)
     roots = roots_of_others(trials, chosen, axes, arcs)
+    root = replace(root_at_rest(scene, arcs), others=roots)
     if gripper is not None:
-        root = replace(root_at_rest(scene, arcs), others=roots)
-        lasts_s = _duration_s(first.capture, time)
+        is_timed = time.seconds_per_unit is not None
+        lasts_s = float(np.ptp(times_s(first.capture, time))) if is_timed else None
+        nearest = _nearest(trials, gripper.point, chosen, axes, scale)
         hand = section_of_file(gripper, axes, root, scale, nearest, lasts_s, findings)
     else:
-        hand = _gripper(first.capture, chosen, axes, scene, arcs, roots, findings)
+        hand = _gripper(first.capture, chosen, axes, scene, root, findings)
     if gripper is not None and rest is None and start is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
-    rest_root = root_at_rest(scene, arcs)
-    hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, rest_root, findings)
+    hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, root, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -170,10 +163,16 @@ def _proposed(
         lost=chosen.lost,
         axes=axes,
         hand=hand,
-        markers=_marker_entries(chosen, arcs, stds),
+        markers=[
+            MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=a, arc_length_std_m=std)
+            for p, a, std in zip(chosen.markers, arcs, stds, strict=True)
+        ],
         trials=[_trial(t) for t in trials],
     )
-    mapping = _with_origin_by_clamp(mapping, first, start, findings)
+    if start is not None and (origin_m := origin_by_clamp(first, mapping, start)) is not None:
+        least_m = _AT_GRIPPER * (mapping.cable.free_length_m or 0.0)
+        hand = _moved(hand, origin_m, least_m, f"they are those of {start.name!r}", findings)
+        mapping = mapping.model_copy(update={"hand": hand})
     entries = trial_entries(trials, mapping, stated.rate_hz, findings, chosen.clamp)
     gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
@@ -189,11 +188,6 @@ def _add_joined(files: Files, findings: ImportFindings) -> None:
         joined = first_of([Path(name).name for name in files.joined_files], 8)
         sentence = f"{Path(files.file).name} and {joined} are of one recording: "
         findings.guessed("trials", f"{sentence}they are taken as one motion's")
-
-
-def _duration_s(capture: Capture, time: TimeSection) -> float | None:
-    """From the first row to the last; None = the unit of its times is not known."""
-    return None if time.seconds_per_unit is None else float(np.ptp(times_s(capture, time)))
 
 
 def _trial(files: Files) -> TrialEntry:
@@ -263,15 +257,6 @@ def _arcs(
     return list(arcs)
 
 
-def _marker_entries(
-    chosen: Chosen, arcs: Sequence[float | None], stds: Sequence[float | None]
-) -> list[MarkerEntry]:
-    return [
-        MarkerEntry(name=p.name, columns=list(p.columns), arc_length_m=arc, arc_length_std_m=std)
-        for p, arc, std in zip(chosen.markers, arcs, stds, strict=True)
-    ]
-
-
 def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
     """Markers; a first arc length that is slightly negative becomes 0."""
     first, last = markers[0].arc_length_m, markers[-1].arc_length_m
@@ -281,17 +266,12 @@ def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
 
 
 def _arc_stds(
-    places_m: FloatArray,
-    scene: PlaneChain,
-    stated: Stated,
-    arcs: Sequence[float | None],
-    findings: ImportFindings,
+    scene: PlaneChain, stated: Stated, arcs: Sequence[float | None], findings: ImportFindings
 ) -> list[float | None]:
-    """Standard deviations of the proposed arc lengths, m; None where these are unknown.
-
-    places_m  (rows, points, d) of the chain, from the gripper on where that is known
-    """
-    last_m = arcs[-1]
+    """Standard deviations of the proposed arc lengths, m; None where these are unknown."""
+    last_m, places_m = arcs[-1], scene.xy_m
+    if scene.from_gripper and len(scene.shape) > places_m.shape[1]:
+        places_m = np.insert(places_m, 0, scene.shape[0], axis=1)
     if last_m is None or places_m.shape[1] < A_LINE:
         return [None] * len(arcs)
     length_m = stated.free_length_m or last_m
@@ -326,14 +306,12 @@ def _gripper(
     chosen: Chosen,
     axes: AxesSection,
     scene: PlaneChain,
-    arcs: Sequence[float | None],
-    others: tuple[tuple[Capture, float], ...],
+    root: Root,
     findings: ImportFindings,
 ) -> GripperSection:
     """The gripping point and the clamp angle, from the file of the markers."""
     inside, hand = contents(capture), chosen.gripper
     if inside.has_gripper_sensor:
-        root = replace(root_at_rest(scene, arcs), others=others)
         return sensor_section(capture, inside, axes, root, {}, findings)
     if hand is None:
         return GripperSection(angle=AngleSection())
@@ -347,30 +325,36 @@ def _gripper(
         line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
         if np.linalg.norm(line) > _ACROSS * np.linalg.norm(rest[1] - rest[0]):
             second = chosen.second, angle_of(line)
-    root = replace(root_in_rows(scene), others=others)
+    root = replace(root, angle_rad=root_in_rows(scene))
     angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)
 
 
 def _nearest(
-    trials: Sequence[Files], point: Point, chosen: Chosen, axes: AxesSection, scale: float
-) -> NearestMarker | None:
-    """Motion of the marker next to the gripper where that moves most; None = no trial has both.
+    trials: Sequence[Files],
+    point: Point | None,
+    chosen: Chosen,
+    axes: AxesSection,
+    scale: float | None,
+) -> NearestMarker:
+    """Motion of the marker next to the gripper where that moves most; empty = no trial has both.
 
     point  the gripping point, in files of their own
     """
-    marker, best, moves = chosen.clamp or chosen.markers[0], None, []
+    marker, paths = chosen.clamp or chosen.markers[0], []
     for files in trials:
-        usable = files.gripper is not None and set(point.columns) <= set(files.gripper.names)
-        if not usable or not set(marker.columns) <= set(files.capture.names):
-            continue
-        assert files.gripper is not None
-        hand = detected_places(files.gripper, point.columns, ())
-        xy_m = places_m(files.capture, marker.columns, axes, scale, chosen.lost)
-        moves.append((displacement(hand), displacement(xy_m)))
-        if best is None or reach(hand) > reach(best[0]):
-            best = hand, xy_m
-    return None if best is None else NearestMarker(*best, tuple(moves))
+        if (
+            (point is not None and scale is not None and files.gripper is not None)
+            and set(point.columns) <= set(files.gripper.names)
+            and set(marker.columns) <= set(files.capture.names)
+        ):
+            hand = detected_places(files.gripper, point.columns, ())
+            xy_m = places_m(files.capture, marker.columns, axes, scale, chosen.lost)
+            paths.append((hand, xy_m))
+    none = np.empty((0, len(axes.up))), np.empty((0, 2))
+    most = max(paths, key=lambda path: reach(path[0]), default=none)
+    moves = tuple((displacement(hand), displacement(xy_m)) for hand, xy_m in paths)
+    return NearestMarker(*most, moves)
 
 
 def _clamp(
@@ -395,25 +379,6 @@ def _clamp(
     return None if chain_m > longest_m else clamp
 
 
-def _with_origin_by_clamp(
-    mapping: Mapping, files: Files, clamp: Point | None, findings: ImportFindings
-) -> Mapping:
-    """The mapping with the origin of the gripper's positions, by a point in the markers' file."""
-    times = mapping.time, mapping.hand.time or mapping.time
-    known = mapping.metres_per_unit is not None and all(t.seconds_per_unit for t in times)
-    if clamp is None or files.gripper is None or not known:
-        return mapping
-    origin_m = origin_by_clamp(files, mapping, clamp)
-    length_m = mapping.cable.free_length_m or 0.0
-    if origin_m is None or float(np.hypot(*origin_m)) < _AT_GRIPPER * length_m:
-        return mapping
-    x_m, y_m = (round(float(v), 5) for v in origin_m)
-    sentence = f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that "
-    findings.guessed("hand.origin_m", f"{sentence}they are those of {clamp.name!r}")
-    hand = mapping.hand.model_copy(update={"origin_m": (x_m, y_m)})
-    return mapping.model_copy(update={"hand": hand})
-
-
 def _with_origin(
     hand: GripperSection,
     gripper: GripperFile,
@@ -435,15 +400,19 @@ def _with_origin(
     initial = np.zeros(len(hand.columns))
     initial[[column is not None for column in hand.columns]] = gripper.initial
     hand_m = np.array([own_axes.right, own_axes.up]) @ initial * unit
-    origin_m = start_m - hand_m
-    if float(np.hypot(*origin_m)) < _SAME_FRAME * length_m:
+    why = "the curve through the markers at rest begins at the gripper; measure hand.origin_m"
+    return _moved(hand, start_m - hand_m, _SAME_FRAME * length_m, why, findings)
+
+
+def _moved(
+    hand: GripperSection, origin_m: FloatArray, least_m: float, why: str, findings: ImportFindings
+) -> GripperSection:
+    """The section with an origin (2,) of the gripper's positions, if it is that far away."""
+    if float(np.hypot(*origin_m)) < least_m:
         return hand
     x_m, y_m = (round(float(v), 5) for v in origin_m)
-    findings.guessed(
-        "hand.origin_m",
-        f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that the "
-        "curve through the markers at rest begins at the gripper; measure hand.origin_m",
-    )
+    sentence = f"the gripper's places have another origin: [{x_m:g}, {y_m:g}] m are added, so that "
+    findings.guessed("hand.origin_m", sentence + why)
     return hand.model_copy(update={"origin_m": (x_m, y_m)})
 
 
@@ -451,17 +420,11 @@ def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
     """Add findings on the cable's parameters that no file of positions shows."""
     cable = mapping.cable
     if cable.line_density_kg_per_m is None:
-        sentence = (
-            "give cable.line_density_kg_per_m, or --line-density: the mass of a piece divided "
-        )
-        sentence += "by its length"
-        findings.missing("cable.line_density_kg_per_m", sentence)
+        sentence = "give cable.line_density_kg_per_m, or --line-density: the mass of a piece "
+        findings.missing("cable.line_density_kg_per_m", f"{sentence}divided by its length")
     if cable.diameter_m is None and None in (cable.width_m, cable.thickness_m):
-        sentence = (
-            "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one, or "
-        )
-        sentence += "--width and --thickness, or --diameter"
-        findings.missing("cable", sentence)
+        sentence = "give cable.width_m and thickness_m of a flat cable, diameter_m of a round one, "
+        findings.missing("cable", f"{sentence}or --width and --thickness, or --diameter")
 
 
 def _add_unused(
@@ -472,10 +435,8 @@ def _add_unused(
     findings: ImportFindings,
 ) -> None:
     """Add a finding on columns that are not used."""
-    points = [
-        p for p in (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp) if p is not None
-    ]
-    used = {n for p in points for n in p.columns}
+    points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
+    used = {n for p in points if p is not None for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
     of_angle = {hand.angle.column, *(hand.angle.rotation or ())}
     unused += [n for n, _ in inside.angles if n not in of_angle]
