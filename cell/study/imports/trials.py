@@ -20,7 +20,7 @@ from cell.study.imports.gripper_path import interpolated
 from cell.study.imports.gripper_section import TextSection, TimeSection
 from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
-from cell.study.imports.places import angle_towards, clamp_angle_rad, places_m
+from cell.study.imports.places import clamp_angle_rad, places_m
 from cell.study.imports.row_trials import TrialLabel
 from cell.study.imports.scales import counts_frames, time_section
 from cell.study.imports.shape import FEWEST_REST, rest_rows
@@ -270,8 +270,6 @@ def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
     axes, lost = section.axes or mapping.axes, mapping.lost
     at_m = places_m(source, section.columns, axes, scale, lost, unseen=0.0, of_hand=True)
     still, angle = np.zeros((len(t_s), 2)), clamp_angle_rad(source, section.angle, axes)
-    if angle is None and (second := section.angle.towards):
-        angle = angle_towards(at_m, places_m(source, second, axes, scale, lost, of_hand=True))
     if angle is not None and np.isfinite(angle).any():
         angle = interpolated(t_s, angle)
         still = -np.column_stack([np.cos(angle), np.sin(angle)])
