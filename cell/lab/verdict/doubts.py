@@ -27,10 +27,6 @@ UNLIKE_ANY = 20.0
 APART = 2.0
 #: Or if a parameter of an effect differs by more than this many standard deviations.
 APART_STD = 3.0
-#: A prior is contradicted if without it less than this share of the squared error is left.
-HELD_SHARE = 0.25
-#: Warnings of a fit far above the noise, of which a diagnosis tells the cause.
-_FAR = frozenset({"beyond_noise", "prior_contradicted"})
 #: Warnings of a fit whose parameters mean nothing; given it no effect is called absent.
 MEANINGLESS = frozenset({"hopeless", "implausible", "starts_disagree"})
 
@@ -59,12 +55,11 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
     elif np.isfinite(worst_m) and worst_m > BEYOND_NOISE * noise_model.noise.std_m:
         misses = f"the model misses {worst_m * 1e3:.3g} mm, "
         misses += f"{worst_m / noise_model.noise.std_m:.0f} times the noise: "
-        if fits.prior_q is not None and _free_share(fit) < HELD_SHARE:
-            sentence = f"{misses}the study contradicts the prior; give that of this cable, or none"
-            warnings.append(Doubt("prior_contradicted", sentence))
-        else:
-            sentence = f"{misses}it lacks an effect; `cell diagnose STUDY` finds out which"
-            warnings.append(Doubt("beyond_noise", sentence))
+        cause = "it lacks an effect; `cell diagnose STUDY` finds out which"
+        if fits.prior_q is not None:
+            cause = "the prior is that of another cable, or the model lacks an effect; a fit "
+            cause += "without --prior shows which"
+        warnings.append(Doubt("beyond_noise", misses + cause))
     warnings += _wrong_minimum(fits, candidate)
     warnings += not_converged(fit)
     warnings += [
@@ -85,13 +80,6 @@ def fit_doubts(fits: FitCache, candidate: FittedModel) -> tuple[Doubt, ...]:
             if not np.isfinite(predicted).all()
         ]
     return tuple(warnings)
-
-
-def _free_share(fit: Fit) -> float:
-    """Share of a fit's squared residual that is left without any prior, by its slopes."""
-    residual, slopes = fit.solution.residual, fit.solution.jacobian
-    step = np.linalg.lstsq(slopes, -residual, rcond=1e-8)[0]
-    return float(np.sum((residual + slopes @ step) ** 2) / np.sum(residual**2))
 
 
 def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
@@ -176,10 +164,6 @@ MEANINGS = {
     "hopeless": ("the error is more than half of the markers' motion", ""),
     "not_searched": ("the error is more than twice the markers' motion", "unexplained"),
     "beyond_noise": ("the error of a fit is more than 3 times the noise", ""),
-    "prior_contradicted": (
-        "without the prior three quarters of a fit's squared error go",
-        "",
-    ),
     "implausible": ("EI differs more than 20-fold along the cable", ""),
     "starts_disagree": ("a second start ends at another minimum", ""),
     "not_converged": ("a fit ended over one standard deviation off its minimum", ""),
@@ -235,13 +219,13 @@ def doubts(fits: FitCache, final_fits: FitCache, final: FittedModel) -> tuple[Do
     """
     warnings = fit_doubts(final_fits, final)
     codes = {w.code for w in warnings}
-    if _FAR & codes and "starts_disagree" not in codes:  # not tested yet
+    if "beyond_noise" in codes and "starts_disagree" not in codes:  # not tested yet
         warnings += tuple(starts_disagree(fits))
     if final_fits.added(final):
         warnings += _of_estimate(final_fits, final, codes)
     if left_out := fits.work.left_out:
         warnings += (ended_doubt(True, f"left out: {first_of(left_out, MOST)}"),)
-    return tuple(w for w in warnings if w.code not in _FAR)
+    return tuple(w for w in warnings if w.code != "beyond_noise")
 
 
 def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> tuple[Doubt, ...]:
