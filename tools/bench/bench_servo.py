@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from calib.plane import PlaneView
 from cell.computer.abilities import StallProbe, Stalls
@@ -38,8 +37,8 @@ from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Camera, DeviceError, Trajectory
 from tools.plant.around import Plant, published
 from tools.processes import busy_cores
+from tools.shipped_settings import EMULATED, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
 #: Adapters of `--what plant`, and those of `--what pages`, with five viewers of the live page.
@@ -125,16 +124,19 @@ def servo(
             around.enter_context(published(runs))
             adapters = PAGES if pages else PLANT
             around_it = Plant(
-                Path(name) / "plant", CONFIG, runs, adapters=adapters, clients=5, viewers=5 * pages
+                Path(name) / "plant",
+                EMULATED,
+                runs,
+                adapters=adapters,
+                clients=5,
+                viewers=5 * pages,
             )
             around.enter_context(around_it)
-        content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-        content["arm"]["host"] = HOST
-        content["camera"]["device"] = f"tcp://{HOST}:5600"
-        content["gripper"]["port"] = str(Path(name) / "gripper")
-        path = Path(name) / "servo.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        settings = load_settings(path)
+        changes = {"arm.host": HOST, "camera.device": f"tcp://{HOST}:5600"}
+        changes["gripper.port"] = str(Path(name) / "gripper")
+        config = Path(name) / "servo.yaml"
+        config.write_text(with_entries(EMULATED, changes), encoding="utf-8")
+        settings = load_settings(config)
         view = settings.camera.view
         plane = PlaneView.from_scale(
             view.metres_per_pixel, view.origin_column_px, view.origin_row_px

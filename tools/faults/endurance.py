@@ -23,6 +23,7 @@ from cell.settings import load_settings
 from cell.wiring.build import cell_with, real_devices
 from cell.wiring.emulated import EmulatedCell
 from tools.faults.short_cycles import short_cycles
+from tools.processes import status_of
 
 #: Shortest waits with which a cable can be identified, s.
 SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}
@@ -40,9 +41,7 @@ class ResourceUse:
 
 
 def held_by(pid: int) -> ResourceUse:
-    status = dict(
-        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
-    )
+    status = status_of(pid)
     handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     return ResourceUse(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
 

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Request, Status
 from cell.run.machine import CellState, MachineEvent
@@ -34,8 +32,8 @@ from tools.faults.scripted_plc import (
     places,
 )
 from tools.processes import free_port, listens, running, wait_until
+from tools.shipped_settings import FAKE, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Interval of the cycles that a person aborts, while the cable is lowered.
 ABORTED_EVERY = 5
 #: An opening in which some cables are not inserted, to test the report of that, too.
@@ -148,11 +146,9 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
     port = free_port()
     handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}
     handshake |= {"host": host} if controller else {"port": port}
-    settings = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    settings |= {"plant": {"handshake": handshake}, "recording": None}
-    settings["destination"]["y_m"] = NARROW_M
+    changes = {"plant": {"handshake": handshake}, "recording": None, "destination.y_m": NARROW_M}
     config, runs = folder / "cell.yaml", folder / "runs"
-    config.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    config.write_text(with_entries(FAKE, changes), encoding="utf-8")
     options = ["-c", str(config)]
     with ExitStack() as stack:
         stack.enter_context(EmulatedController(host) if controller else nullcontext())

@@ -21,8 +21,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Request, Status
 from cell.run.machine import MachineEvent
@@ -30,8 +28,8 @@ from cell.run.plans import INSERTING
 from tools.plant.around import ADAPTERS, Plant
 from tools.plant.viewer import Viewer
 from tools.processes import running
+from tools.shipped_settings import FAKE, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Number of cycles beyond the kills: not every cycle has every step.
 SPARE = 3
 #: Entries of a result that must not depend on kills.
@@ -52,16 +50,19 @@ class MadeCycle:
         return ", ".join(names)
 
 
-def quick(config: Path) -> Path:
-    """Write settings of the simulated cell with fewer, smaller pictures, and without recordings."""
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    content["camera"].update(frame_rate_hz=100.0, width_px=800, height_px=640)
+def quick(config: Path, recording: dict[str, int] | None = None) -> Path:
+    """Write settings of the simulated cell with fewer, smaller pictures, and these recordings."""
     view = {"metres_per_pixel": 0.00032, "origin_column_px": 625, "origin_row_px": 93.75}
-    content["camera"]["view"] = view
-    content["motion"]["hold_s"] = 0.4
-    content["motion"]["offsets"]["step_m"] = 0.004
-    content["recording"] = None
-    config.write_text(yaml.safe_dump(content), encoding="utf-8")
+    changes = {
+        "camera.frame_rate_hz": 100.0,
+        "camera.width_px": 800,
+        "camera.height_px": 640,
+        "camera.view": view,
+        "motion.hold_s": 0.4,
+        "motion.offsets.step_m": 0.004,
+        "recording": recording,
+    }
+    config.write_text(with_entries(FAKE, changes), encoding="utf-8")
     return config
 
 
@@ -122,7 +123,7 @@ def main() -> int:
     planned, done, wrong = list(product(adapters, options.steps)), 0, 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = quick(folder / "quick.yaml") if options.quick else CONFIG
+        config = quick(folder / "quick.yaml") if options.quick else FAKE
         with service(config, folder / "untouched" / "runs", folder / "log"):
             client = Client(folder / "untouched" / "runs", timeout_s=60.0).connect(120.0)
             messages = client.follow()
