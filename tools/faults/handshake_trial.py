@@ -15,7 +15,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,12 +91,9 @@ def _wrong_starts(log: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> 
                 faulted = True
             case MessageKind.ACKNOWLEDGED:
                 faulted = False
-            case MessageKind.STATE if notice.data["state"] in (
-                CellState.STARTING,
-                CellState.RESETTING,
-            ):
+            case MessageKind.STATE:
                 state = notice.data["state"]
-                if faulted:
+                if faulted and state in (CellState.STARTING, CellState.RESETTING):
                     yield f"{state} after a fault without an acknowledgement"
                 if state != CellState.STARTING:
                     continue
@@ -171,9 +168,7 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
         (folder / "plc.jsonl").write_text(done.stdout, encoding="utf-8")
         result = compared(plc_log, follower.happened)
         if done.returncode != 0:
-            result = HandshakeFindings(
-                **{**vars(result), "wrong": (*result.wrong, "the PLC gave up")}
-            )
+            result = replace(result, wrong=(*result.wrong, "the PLC gave up"))
     return result
 
 

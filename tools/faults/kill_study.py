@@ -170,11 +170,8 @@ def _ledger_cycles(runs: Path) -> list[ListedCycle]:
             raise RuntimeError(f"{place} is damaged")
         if not database.execute("SELECT * FROM sqlite_master").fetchall():  # as it was being made
             return []
-    ledger = Ledger(runs)
-    try:
+    with closing(Ledger(runs)) as ledger:
         return ledger.listed(LedgerQuery())
-    finally:
-        ledger.close()
 
 
 def _known_until_s(recording: Recording) -> float:

@@ -10,8 +10,6 @@ chosen offset, margin and steps of the n-th cycle must be the same.
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -73,9 +71,12 @@ def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[objec
 
 
 def made(
-    client: Client, messages: Iterator[Notice | Status], on_step: Callable[[str], None]
+    client: Client,
+    messages: Iterator[Notice | Status],
+    at_step: str = "",
+    kill: Callable[[], object] = lambda: None,
 ) -> MadeCycle:
-    """Run one cycle from Idle; `on_step` is called when a step begins."""
+    """Run one cycle from Idle; when a step begins, kill."""
     for message in messages:
         waits = message.data if isinstance(message, Notice) else vars(message)
         if "start" in waits.get("waiting_for", ()):
@@ -88,7 +89,8 @@ def made(
             raise RuntimeError("the cell was lost")
         if message.kind is MessageKind.STEP:
             steps.append(message.data["step"])
-            on_step(steps[-1])
+            if steps[-1] == at_step:
+                kill()
         if message.kind is MessageKind.RESULT:
             return MadeCycle(dict(message.data), tuple(steps))
     raise RuntimeError("the client was closed")
@@ -128,7 +130,7 @@ def main() -> int:
             client = Client(folder / "untouched" / "runs", timeout_s=60.0).connect(120.0)
             messages = client.follow()
             count = len(planned) + SPARE
-            untouched = [made(client, messages, lambda step: None) for _ in range(count)]
+            untouched = [made(client, messages) for _ in range(count)]
         runs = folder / "killed" / "runs"
         with ExitStack() as stack:
             stack.enter_context(service(config, runs, folder / "log"))
@@ -142,17 +144,11 @@ def main() -> int:
             messages = client.follow()
             for chosen, meant in zip(assigned(planned, untouched), untouched, strict=True):
                 if chosen is None:
-                    made(client, messages, lambda step: None)
+                    made(client, messages)
                     continue
                 adapter, step = chosen
                 victim = plant.running[adapter].process
-
-                def kill(begun: str, step: str = step, pid: int = victim.pid) -> None:
-                    if begun == step:
-                        os.kill(pid, signal.SIGKILL)
-
-                cycle = made(client, messages, kill)
-                differs = cycle.differs(meant)
+                differs = made(client, messages, step, victim.kill).differs(meant)
                 victim.wait(10.0)
                 done += 1
                 wrong += bool(differs)

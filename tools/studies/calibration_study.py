@@ -140,7 +140,7 @@ class Setup:
 
 def measured(seed: int) -> dict[str, float]:
     """Errors and stated bounds of one set-up's calibration: mm, degrees; and the peers' errors."""
-    initial_states = time.process_time()
+    begun_s = time.process_time()
     setup = Setup(seed)
     camera, views, _ = camera_from(setup.board_pictures(), BOARD)
     shown, held_out = setup.shown(POSES), setup.shown(HELD_OUT)
@@ -151,7 +151,8 @@ def measured(seed: int) -> dict[str, float]:
     grid = picture_grid(SIZE)
     off = np.linalg.norm(fit.view.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
     bound = CIRCLE_95 * fit.spread_m(grid)
-    row = {"seed": float(seed), "tilt_deg": tilt_deg(setup), "k1": setup.eye.distortion[0]}
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, abs(setup.eye.X_CP[2, 2])))))
+    row = {"seed": float(seed), "tilt_deg": tilt_deg, "k1": setup.eye.distortion[0]}
     row |= {"map_rms": 1e3 * rms(off), "map_max": 1e3 * float(off.max())}
     row |= {"map_95": 1e3 * float(bound.max()), "map_inside": float(np.mean(off <= bound))}
     row |= plane_errors(fit, setup)
@@ -160,7 +161,7 @@ def measured(seed: int) -> dict[str, float]:
         peer = opencv_view(views, shown, setup, method)
         away = np.linalg.norm(peer.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
         row |= {f"{name}_rms": 1e3 * rms(away), f"{name}_max": 1e3 * float(np.nanmax(away))}
-    row["cpu_s"] = time.process_time() - initial_states
+    row["cpu_s"] = time.process_time() - begun_s
     return row
 
 
@@ -280,10 +281,6 @@ def opencv_view(
     X_CP = np.linalg.inv(X_BC) @ setup.X_BP
     lens = Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2], *distortion.ravel()[:5])
     return PlaneView.from_pose(lens, X_CP)
-
-
-def tilt_deg(setup: Setup) -> float:
-    return float(np.degrees(np.arccos(min(1.0, abs(setup.eye.X_CP[2, 2])))))
 
 
 def rms(values: np.ndarray) -> float:

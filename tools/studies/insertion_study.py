@@ -35,8 +35,9 @@ from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
+from tools.shipped_settings import FAKE
 from tools.studies.rows import added_rows
-from tools.worlds.fast_cell import CONFIG, fast_cycle, typical, with_opening, with_world
+from tools.worlds.fast_cell import fast_cycle, typical, with_opening, with_world
 from tools.worlds.fast_flight import Flown
 from tools.worlds.fast_truth import true_hold
 from tools.worlds.outside_laws import Puff
@@ -176,7 +177,7 @@ def main() -> int:
     parser.add_argument("file", type=Path, help="CSV file to write")
     parser.add_argument("--cables", type=int, default=20)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--config", type=Path, default=CONFIG)
+    parser.add_argument("--config", type=Path, default=FAKE)
     parser.add_argument("--half-mm", type=float, nargs="+", default=[5.0, 2.0, 1.0])
     worlds = (*EVENTS, *EFFECTS)
     parser.add_argument("--worlds", nargs="+", choices=worlds, default=["complete"])
