@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 #: Time limit for the start of a program, s: on a new computer it compiles.
-_BEGIN_S = 180.0
+BEGIN_S = 180.0
 
 
 def free_port() -> int:
@@ -55,7 +55,7 @@ class Program:
 
 def wait_until(reached: Callable[[], bool], program: Program | None = None) -> None:
     """Wait for a condition.  Raises RuntimeError: a program has ended, or it takes too long."""
-    until_s = time.monotonic() + _BEGIN_S
+    until_s = time.monotonic() + BEGIN_S
     while not reached():
         ended = program is not None and program.process.poll() is not None
         if ended or time.monotonic() > until_s:

@@ -31,7 +31,7 @@ from tools.faults.scripted_plc import (
     Plc,
     places,
 )
-from tools.processes import free_port, listens, running, wait_until
+from tools.processes import BEGIN_S, free_port, listens, running, wait_until
 from tools.shipped_settings import FAKE, with_entries
 
 #: Interval of the cycles that a person aborts, while the cable is lowered.
@@ -40,8 +40,6 @@ ABORTED_EVERY = 5
 NARROW_M = [-0.107, -0.105]
 #: Signal to the PLC for an outcome.
 REPORTED = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
-#: Time limit for the start of the service, s: on a new computer it compiles.
-_BEGIN_S = 180.0
 
 
 @dataclass(frozen=True)
@@ -153,9 +151,9 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
             Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
         run = ("cell", "run", *options, "--cycles", "forever", "--runs", str(runs))
         stack.enter_context(running(*run, log=folder / "cell.log"))
-        client = Client(runs).connect(wait_s=_BEGIN_S)
+        client = Client(runs).connect(wait_s=BEGIN_S)
         follower = Follower(client)
-        assert follower.is_idle.wait(_BEGIN_S), "the cell is not ready"
+        assert follower.is_idle.wait(BEGIN_S), "the cell is not ready"
         serve = ("cell", "-v", "handshake", *options, "--runs", str(runs))
         stack.enter_context(running(*serve, log=folder / "handshake.log"))
         if not controller:

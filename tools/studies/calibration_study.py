@@ -20,7 +20,6 @@ curvature, displaced and rotated marks, in twelve poses, filmed through a map wi
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -28,6 +27,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from calib.board import Board, BoardView
 from calib.camera import picture_grid
@@ -318,19 +318,13 @@ def main() -> None:
             print(f"{seed}: refused: {error}", flush=True)
             continue
         print(", ".join(f"{k} {v:.4g}" for k, v in rows[-1].items()), flush=True)
-        with options.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        pd.DataFrame(rows).to_csv(options.out, index=False, na_rep="nan")
     print(f"\n{len(rows)} of {options.setups} set-ups calibrated; error, mm, degrees or ms")
     if rows:
-        print("\n".join(summary({name: np.array([r[name] for r in rows]) for name in rows[0]},
-                                quantities)))  # fmt: skip
+        print("\n".join(summary(pd.DataFrame(rows), quantities)))
 
 
-def summary(
-    columns: dict[str, np.ndarray], quantities: tuple[tuple[str, str], ...]
-) -> Iterator[str]:
+def summary(columns: pd.DataFrame, quantities: tuple[tuple[str, str], ...]) -> Iterator[str]:
     """Lines of errors, and the share within their bounds; for a map also those of the peers."""
     for name, bound in quantities:
         off = columns[name]
