@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 #: Time limit for the start of a program, s: on a new computer it compiles.
-_BEGIN_S = 180.0
+BEGIN_S = 180.0
 
 
 def free_port() -> int:
@@ -25,47 +27,57 @@ def free_port() -> int:
 
 
 class Program:
-    """A process whose output is read continuously."""
+    """A process whose output is kept; `options` of `Popen`."""
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], **options: Any) -> None:
         self.command = command
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed with this
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+            command, stdout=self._log, stderr=subprocess.STDOUT, **options
         )
-        self.lines: list[str] = []
-        assert self.process.stdout is not None
-        self._reading = threading.Thread(
-            target=self._read, args=(self.process.stdout,), daemon=True
-        )
-        self._reading.start()
 
-    def _read(self, stream: IO[str]) -> None:
-        with stream:
-            self.lines.extend(iter(stream.readline, ""))
+    @property
+    def output(self) -> str:
+        """Its output so far."""
+        size = os.fstat(self._log.fileno()).st_size
+        return os.pread(self._log.fileno(), size, 0).decode(errors="replace")
 
     def until(self, text: str) -> None:
         """Wait for a text in its output.  Raises RuntimeError: it has ended, or timed out."""
-        wait_until(lambda: any(text in line for line in self.lines), self)
+        wait_until(lambda: text in self.output, self)
 
     def end(self) -> None:
-        """Kill it."""
+        """Kill it; its output is lost."""
         self.process.kill()
         self.process.wait()
-        self._reading.join()
+        self._log.close()
 
 
 def wait_until(reached: Callable[[], bool], program: Program | None = None) -> None:
     """Wait for a condition.  Raises RuntimeError: a program has ended, or it takes too long."""
-    until_s = time.monotonic() + _BEGIN_S
+    until_s = time.monotonic() + BEGIN_S
     while not reached():
         ended = program is not None and program.process.poll() is not None
         if ended or time.monotonic() > until_s:
             raise RuntimeError(
                 "the plant does not begin"
                 if program is None
-                else f"{' '.join(program.command)}: {''.join(program.lines)}"
+                else f"{' '.join(program.command)}: {program.output}"
             )
         time.sleep(0.02)
+
+
+@contextmanager
+def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Run a task in a thread within the `with`; its event requests the end."""
+    over = threading.Event()
+    thread = threading.Thread(target=task, args=(over,), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(60.0)
 
 
 def listens(port: int) -> bool:
@@ -111,11 +123,17 @@ def family(process: int) -> list[int]:
     processes = [process]
     for parent in processes:
         for file in Path(f"/proc/{parent}/task").glob("*/children"):
-            try:
+            with suppress(OSError):  # it has ended
                 processes += map(int, file.read_text().split())
-            except OSError:  # it has ended
-                continue
     return processes
+
+
+def status_of(process: int) -> dict[str, str]:
+    """Its /proc/…/status by field, such as `VmRSS`; empty = it has ended."""
+    with suppress(OSError):
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+        return dict(line.split(":", 1) for line in lines)
+    return {}
 
 
 def own_cpu_s() -> float:

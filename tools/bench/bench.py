@@ -7,10 +7,14 @@ both are searched as in `benchmark_rods`.
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +28,7 @@ from cell.cable.solver import generalised_alpha, threads
 from cell.cable.statics import settle
 from cell.cable.stepping import integrate, sample_times
 from cell.identify.parameters import ParameterSpace, Prior, difference_points
+from tools.bench import bench_servo, bench_wait
 from tools.bench.bench_task import (
     ALLOWED_M,
     ARC,
@@ -83,31 +88,31 @@ def first_within(
 def linear_cost() -> None:
     print("\ncost of a step of 16 lanes against the number of segments")
     sizes = (10, 20, 40, 80, 160)
-    runs, counts = [], [4000 // n for n in sizes]
-    for n, steps in zip(sizes, counts, strict=True):
-        (block,) = assemble([MODEL] * at.LANES, n, 0.0)
-        base = np.zeros(steps * at.BASE_FIELDS * at.LANES)
-        settle(block, base)
-        fresh = at.vectors(n + 1, at.FIELDS).reshape(block.state.shape)
-        fresh[:] = block.state
-
-        def run(
-            block: object = block, fresh: np.ndarray = fresh, base: np.ndarray = base, n: int = n
-        ) -> None:
-            out = np.empty(0)
-            integrate(
-                fresh, at.LANES, n, base, generalised_alpha(1e-4, 0.8), False, 1,
-                block.effects, sample_times([out]), out, out,  # type: ignore[attr-defined]
-            )  # fmt: skip
-
-        run()
-        runs.append(run)
-    shortest = best_of(*runs, rounds=300, clock=time.thread_time)
-    per = [s / k / (n + 1) for s, k, n in zip(shortest, counts, sizes, strict=True)]
+    shortest = best_of(*map(_steps, sizes), rounds=300, clock=time.thread_time)
+    per = [s / (4000 // n) / (n + 1) for n, s in zip(sizes, shortest, strict=True)]
     for n, seconds in zip(sizes, per, strict=True):
         print(f"  {n:4d} segments: {seconds * (n + 1) * 1e6:7.2f} µs, {seconds * 1e9:6.1f} ns each")
     middle = 0.5 * (min(per) + max(per))
     report("largest departure from a line", max(per) / middle - 1.0, "<=", 0.2)
+
+
+def _steps(n: int) -> Callable[[], None]:
+    """4000/n steps of 16 lanes with n segments, run once."""
+    (block,) = assemble([MODEL] * at.LANES, n, 0.0)
+    base = np.zeros(4000 // n * at.BASE_FIELDS * at.LANES)
+    settle(block, base)
+    fresh = at.vectors(n + 1, at.FIELDS).reshape(block.state.shape)
+    fresh[:] = block.state
+
+    def run() -> None:
+        out = np.empty(0)
+        integrate(
+            fresh, at.LANES, n, base, generalised_alpha(1e-4, 0.8), False, 1,
+            block.effects, sample_times([out]), out, out,
+        )  # fmt: skip
+
+    run()
+    return run
 
 
 #: Largest cost of a pass over its simulations; the rest is models, residuals and the solution.
@@ -117,51 +122,41 @@ PASS_COSTS = 1.25
 def gauss_newton_pass() -> None:
     effects = (library()["air_drag"].active(drag_coefficient=2.0),)
     knots = np.array([3.4e-5, 3.2e-5, 3e-5, 3e-5, 2.9e-5, 2.8e-5, 2.8e-5, 2.7e-5, 2.6e-5, 2.6e-5])
+    plain = CableModel(CABLE, np.append(knots, [2.6e-5, 2.6e-5]), 1.1, 1e-7)
+    dragged = CableModel(CABLE, np.append(knots, 2.6e-5), 1.1, 1e-7, effects=effects)
+    for label, model in (("baseline", plain), ("with air_drag", dragged)):
+        _pass_cost(label, model)
+
+
+def _pass_cost(label: str, model: CableModel) -> None:
     times = np.arange(0.0, 1.5, 0.005)
-    for label, model in (
-        ("baseline", CableModel(CABLE, np.append(knots, [2.6e-5, 2.6e-5]), 1.1, 1e-7)),
-        ("with air_drag", CableModel(CABLE, np.append(knots, 2.6e-5), 1.1, 1e-7, effects=effects)),
-    ):
-        measured = simulate(model, MOTIONS[-1], times, ARC)[0]
+    measured = simulate(model, MOTIONS[-1], times, ARC)[0]
+    kinds = [a.effect for a in model.effects]
+    space = ParameterSpace.of(CABLE, effects=kinds, prior=Prior(knots=len(model.rigidity_n_m2)))
+    values = [v for a in model.effects for v in a.values]
+    q = space.coordinates(np.array([*model.rigidity_n_m2, 1.1, 1e-7, *values]))
+    lanes = difference_points(q, space.difference_steps(q))
 
-        kinds, values = (
-            [a.effect for a in model.effects],
-            [v for a in model.effects for v in a.values],
-        )
-        prior = Prior(knots=len(model.rigidity_n_m2))
-        space = ParameterSpace.of(CABLE, effects=kinds, prior=prior)
-        q = space.coordinates(np.array([*model.rigidity_n_m2, 1.1, 1e-7, *values]))
-        lanes = difference_points(q, space.difference_steps(q))
+    def one_pass() -> np.ndarray:
+        simulated = simulate([space.model(lane) for lane in lanes], MOTIONS[-1], times, ARC)
+        steps = np.diag(lanes[1:] - lanes[0])
+        jacobian = (simulated[1:] - simulated[0]).reshape(len(steps), -1) / steps[:, None]
+        residual = (measured - simulated[0]).ravel()
+        return np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=None)[0]
 
-        def one_pass(
-            space: ParameterSpace = space,
-            lanes: np.ndarray = lanes,
-            measured: np.ndarray = measured,
-        ) -> np.ndarray:
-            models = [space.model(lane) for lane in lanes]
-            simulated = simulate(models, MOTIONS[-1], times, ARC)
-            steps = np.diag(lanes[1:] - lanes[0])
-            jacobian = (simulated[1:] - simulated[0]).reshape(len(steps), -1) / steps[:, None]
-            residual = (measured - simulated[0]).ravel()
-            return np.linalg.lstsq(jacobian @ jacobian.T, jacobian @ residual, rcond=None)[0]
+    def one_batch() -> object:
+        return simulate([space.model(lanes[0])] * at.LANES, MOTIONS[-1], times, ARC)
 
-        def one_batch(space: ParameterSpace = space, lanes: np.ndarray = lanes) -> object:
-            return simulate([space.model(lanes[0])] * at.LANES, MOTIONS[-1], times, ARC)
-
-        one_pass(), one_batch()
-        # CPU time, and a peer that is slowed equally by load: a failure means that we are slow
-        seconds, batch = best_of(one_pass, one_batch, rounds=100, clock=time.process_time)
-        count = len(lanes)
-        batches = -(-count // at.LANES)
-        print(f"\na Gauss–Newton pass, {count} lanes, 1.5 s, {label}, default mesh and step")
-        print(f"  {seconds * 1e3:.1f} ms of CPU, a batch of {at.LANES} lanes {batch * 1e3:.1f} ms")
-        report(f"pass / {batches} batches", seconds / (batches * batch), "<=", PASS_COSTS)
+    one_pass(), one_batch()
+    # CPU time, and a peer that is slowed equally by load: a failure means that we are slow
+    seconds, batch = best_of(one_pass, one_batch, rounds=100, clock=time.process_time)
+    batches = -(-len(lanes) // at.LANES)
+    print(f"\na Gauss–Newton pass, {len(lanes)} lanes, 1.5 s, {label}, default mesh and step")
+    print(f"  {seconds * 1e3:.1f} ms of CPU, a batch of {at.LANES} lanes {batch * 1e3:.1f} ms")
+    report(f"pass / {batches} batches", seconds / (batches * batch), "<=", PASS_COSTS)
 
 
 def plug_in() -> None:
-    import tempfile
-    from pathlib import Path
-
     source = Path(air_family.__file__).read_text(encoding="utf-8")
     head = source[: source.index("class AirDrag")]
     body = source[source.index("class AirDrag") : source.index("class LinearAirDrag")]
@@ -184,9 +179,6 @@ def plug_in() -> None:
 
 
 def start_up() -> None:
-    import subprocess
-    import sys
-
     program = (
         "import numpy as np\n"
         "from cell.cable.dynamics import simulate\n"
@@ -208,14 +200,17 @@ WAITS = 12
 
 
 def waiting() -> None:
-    from tools.bench.bench_wait import MOST_WAITED_MS, summary, waits
-
     print("\nthe robot waits for the computer: simulated cycles at the speed of reality")
-    measured = waits(WAITS, 1, burners=0)
-    print(summary(measured))
+    measured = bench_wait.waits(WAITS, 1, burners=0)
+    print(bench_wait.summary(measured))
     waited_ms = np.array([1e3 * w.wait_s for w in measured])
     beyond_ms = waited_ms - [1e3 * w.stall_s for w in measured]
-    report("milliseconds, 95 % of them", np.nanquantile(waited_ms, 0.95), "<=", MOST_WAITED_MS)
+    report(
+        "milliseconds, 95 % of them",
+        np.nanquantile(waited_ms, 0.95),
+        "<=",
+        bench_wait.MOST_WAITED_MS,
+    )
     report("beyond the computer's own stall", np.nanquantile(beyond_ms, 0.95), "<=", 30.0)
     after_ms = 1e3 * np.nanmedian([w.after_cpu_s for w in measured])
     report("CPU time after the last frame, milliseconds", after_ms, "<=", 10.0)
@@ -224,11 +219,9 @@ def waiting() -> None:
 
 
 def servo_loop() -> None:
-    from tools.bench.bench_servo import servo, summary
-
     print("\nservo loop at 500 Hz for 60 s with vision running, as the emulated controller sees it")
-    measured = servo(60.0)
-    print(summary(measured))
+    measured = bench_servo.servo(60.0)
+    print(bench_servo.summary(measured))
     report("period in ms, p99", measured.percentile_ms(99.0), "<=", 2.5)
     report("age of the oldest command, ms", measured.percentile_ms(100.0), "<=", 10.0)
 

@@ -5,9 +5,9 @@ the cable detected in each of them by the process that also commands the arm.
 
     python -m tools.bench.bench_servo --pairs 4 [--what plant] [--seconds 15] [--burn 1]
 
-With --pairs it is measured without and with a recording, alternately.  With `--plant` it is without
-and with a plant: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker, and a
-link that sends them the notices of a cell; `--what pages` adds the pages, with five viewers.
+With --pairs it is measured without and with a recording, alternately.  With `--what plant` it is
+without and with a plant: OPC UA with five clients that subscribe every 100 ms, MQTT with a broker,
+and a link that sends them the notices of a cell; `--what pages` adds the pages, with five viewers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from calib.plane import PlaneView
 from cell.computer.abilities import StallProbe, Stalls
@@ -38,12 +37,12 @@ from cell.wiring.emulated import EmulatedCell
 from drivers.interfaces import Camera, DeviceError, Trajectory
 from tools.plant.around import Plant, published
 from tools.processes import busy_cores
+from tools.shipped_settings import EMULATED, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
 HOST = "127.0.0.76"
 PORTION = 300  # frames recorded at a time
-#: Adapters of `--what plant`, and those of `--what pages`, with five viewers of the live page.
-PLANT, PAGES = ("opcua", "mqtt"), ("opcua", "mqtt", "serve")
+#: Adapters of a plant by `--what`, and number of viewers of the live page.
+PLANTS = {"plant": (("opcua", "mqtt"), 0), "pages": (("opcua", "mqtt", "serve"), 5)}
 STROKE_M, SWING_S = 0.03, 1.5
 
 
@@ -111,30 +110,22 @@ class _Watcher:
                 self._camera.stop()
 
 
-def servo(
-    seconds: float,
-    *,
-    recorded: bool = False,
-    plant: bool = False,
-    pages: bool = False,
-) -> Servo:
+def servo(seconds: float, what: str = "") -> Servo:
+    """Measure it; `what` is "" or as in the command line."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as around:
         around_it = None
-        if plant or pages:
-            runs = Path(name) / "runs"
+        if what in PLANTS:
+            runs, (adapters, viewers) = Path(name) / "runs", PLANTS[what]
             around.enter_context(published(runs))
-            adapters = PAGES if pages else PLANT
             around_it = Plant(
-                Path(name) / "plant", CONFIG, runs, adapters=adapters, clients=5, viewers=5 * pages
+                Path(name) / "plant", EMULATED, runs, adapters=adapters, clients=5, viewers=viewers
             )
             around.enter_context(around_it)
-        content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-        content["arm"]["host"] = HOST
-        content["camera"]["device"] = f"tcp://{HOST}:5600"
-        content["gripper"]["port"] = str(Path(name) / "gripper")
-        path = Path(name) / "servo.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        settings = load_settings(path)
+        changes = {"arm.host": HOST, "camera.device": f"tcp://{HOST}:5600"}
+        changes["gripper.port"] = str(Path(name) / "gripper")
+        config = Path(name) / "servo.yaml"
+        config.write_text(with_entries(EMULATED, changes), encoding="utf-8")
+        settings = load_settings(config)
         view = settings.camera.view
         plane = PlaneView.from_scale(
             view.metres_per_pixel, view.origin_column_px, view.origin_row_px
@@ -144,14 +135,14 @@ def servo(
         devices = real_devices(settings)
         with EmulatedCell(settings, seed=1) as emulated, StallProbe() as probe:
             recorder = Recorder(devices.arm, devices.clock, 512 * 10**6)
-            if recorded:
+            if what == "recorded":
                 devices = recorded_devices(devices, recorder)
                 recorder.prepare()
             devices.gripper.connect()
             devices.arm.connect()
             devices.gripper.grip(settings.gripper.force_n)
             emulated.controller.request("servo_gaps")
-            if recorded:
+            if what == "recorded":
                 recorder.begin(Path(name) / form.FILE, {})
             watcher = _Watcher(devices.camera, plane, options)
             probe.take()
@@ -171,8 +162,7 @@ def servo(
             devices.camera.close()
             devices.gripper.close()
     troubles = tuple(watcher.troubles)
-    counts = watcher.frames, watcher.unseen
-    return Servo(gaps_s, *counts, seconds, cpu_s, troubles, stalls)
+    return Servo(gaps_s, watcher.frames, watcher.unseen, seconds, cpu_s, troubles, stalls)
 
 
 def summary(times: Servo) -> str:
@@ -195,7 +185,7 @@ def paired(pairs: int, seconds: float, option: str) -> None:
     late: dict[bool, list[float]] = {False: [], True: []}
     for pair in range(pairs):
         for done in (pair % 2 == 1, pair % 2 == 0):
-            measured = servo(seconds, **{option: done})
+            measured = servo(seconds, option if done else "")
             p99_ms[done].append(measured.percentile_ms(99.0))
             late[done].append(float(np.mean(measured.gaps_s > 0.0025)))
             print(option if done else f"not {option}", summary(measured), sep="\n", flush=True)
@@ -210,9 +200,7 @@ def paired(pairs: int, seconds: float, option: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--pairs", type=int, default=4)
-    kinds = ("recorded", "plant", "pages")
-    parser.add_argument("--what", choices=kinds, default="recorded")
-    parser.add_argument("--plant", action="store_const", const="plant", dest="what")
+    parser.add_argument("--what", choices=("recorded", *PLANTS), default="recorded")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--burn", type=int, default=0, help="processes that keep a core busy")
     arguments = parser.parse_args()

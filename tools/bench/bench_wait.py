@@ -30,7 +30,6 @@ from itertools import pairwise
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -45,17 +44,17 @@ from cell.settings import Settings, load_settings
 from cell.settings.model import StartSettings
 from cell.wiring.build import cell_with, twin_devices, with_recorder
 from cell.wiring.twins import build_twins
+from drivers.around import CameraAround
 from drivers.interfaces import Camera, Frame
 from drivers.priority import take_precedence
 from drivers.sim.clock import SimClock
 from tools.plant.around import Plant
 from tools.processes import busy_cores, family
+from tools.shipped_settings import FAKE
 from tools.worlds.fast_cell import with_opening
 
 #: Limit of a gripper's wait for a decision.
 MOST_WAITED_MS = 50.0
-
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
 
 @dataclass(frozen=True)
@@ -80,16 +79,13 @@ class Wait:
     stall_s: float = 0.0
 
 
-class KeepingCamera:
+class KeepingCamera(CameraAround):
     """A camera that stores its frames."""
 
     def __init__(self, camera: Camera, clock: SimClock) -> None:
-        self._camera, self._clock = camera, clock
-        self.name = camera.name
+        super().__init__(camera)
+        self._clock = clock
         self.recordings: list[list[tuple[float, Frame]]] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._camera, name)
 
     def start(self, frame_count: int) -> None:
         self._start_s = self._clock.now_s()
@@ -104,21 +100,15 @@ class KeepingCamera:
         return frame
 
 
-class PlaybackCamera:
-    """A camera that replays stored frames, at the speed of the clock."""
+class PlaybackCamera(CameraAround):
+    """Replays stored frames in place of those of a camera, at the speed of the clock."""
 
-    def __init__(self, clock: SimClock, frame_rate_hz: float) -> None:
-        self.name, self.frame_rate_hz = "camera", frame_rate_hz
+    def __init__(self, camera: Camera, clock: SimClock) -> None:
+        super().__init__(camera)
         self._clock = clock
         self.recordings: list[list[tuple[float, Frame]]] = []
         self.late_s: list[list[float]] = []
         self._pending: list[tuple[float, Frame]] = []
-
-    def connect(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
     def stop(self) -> None:
         self._pending = []
@@ -147,7 +137,7 @@ def measured(
     end_in_order()
     take_precedence()  # as a cell does whose devices are real
     twins = build_twins(settings, seed, cycles)
-    player = PlaybackCamera(twins.world.clock, twins.camera.frame_rate_hz)
+    player = PlaybackCamera(twins.camera, twins.world.clock)
     devices = replace(twin_devices(twins), camera=player)
     with tempfile.TemporaryDirectory() as runs:
         began: dict[str, tuple[float, float]] = {}
@@ -247,7 +237,7 @@ def waits(
     """
     end_in_order()
     linked = None if plant is None else plant / "runs"
-    settings = load_settings(CONFIG) if settings is None else settings
+    settings = load_settings(FAKE) if settings is None else settings
     real = settings.world.model_copy(update={"real_time_factor": 1.0})
     context = get_context("spawn")
     here, there = context.Pipe()
@@ -271,7 +261,7 @@ def waits(
         if plant is not None and linked is not None:
             names = ("opcua", "mqtt", *(["serve"] if pages else []))
             viewers = 5 if pages else 0
-            around_it = Plant(plant, CONFIG, linked, adapters=names, clients=5, viewers=viewers)
+            around_it = Plant(plant, FAKE, linked, adapters=names, clients=5, viewers=viewers)
             stack.enter_context(around_it)
             Client(linked).connect(wait_s=300.0)
             before_s, begun_s = around_it.cpu_s(), time.monotonic()
@@ -338,7 +328,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     common = options.cycles, options.seed, options.burn
-    shipped = load_settings(CONFIG)
+    shipped = load_settings(FAKE)
     silent = shipped.model_copy(update={"recording": None})
     start = StartSettings(window_s=options.freely or 0.0)
     freely = silent.model_copy(update={"motion": silent.motion.model_copy(update={"start": start})})

@@ -17,11 +17,10 @@ cost against segments, and a swing without damping, whose energy should be const
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from math import inf, isfinite, nan
 from pathlib import Path
@@ -89,10 +88,6 @@ class RodRow:
     energy_percent: float
     reference_um: float
     peer_um: float
-    measured_on: str
-    machine: str
-    load: str
-    command: str
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -160,8 +155,7 @@ def tried(task: RodTask, entrant: RodEntrant, setting: RodSetting, exact: RodRef
         round(1e3 * setting.step_s, 6), setting.kind, round(1e6 * tip_error(tips, exact.tips), 3),
         float(f"{1e3 * cpu_s / task.simulated_s:.4g}"), float(f"{lanes / cpu_s:.4g}"),
         float(f"{lanes / wall_s:.4g}"), float(f"{cpu_s:.4g}"), round(energy, 3),
-        float(f"{exact.own_um:.2g}"), float(f"{exact.peer_um:.2g}"), time.strftime("%Y-%m-%d"),
-        f"{os.cpu_count()} cores", f"{os.getloadavg()[0]:.0f}", COMMAND,
+        float(f"{exact.own_um:.2g}"), float(f"{exact.peer_um:.2g}"),
     )  # fmt: skip
 
 
@@ -345,9 +339,7 @@ def main() -> int:
     extent = SMALL if options.small else FULL
     extent = replace(extent, budget_s=options.budget_s or extent.budget_s)
     options.file.parent.mkdir(parents=True, exist_ok=True)
-    available = entrants()
-    absent = {name: e for name, e in available.items() if isinstance(e, str)}
-    there = {name: e for name, e in available.items() if not isinstance(e, str)}
+    there, absent = entrants()
     for _ in benchmark(options.file, there, [rod_tasks()[name] for name in names], extent):
         pass
     tried_rows, table = ordered(read_rows(options.file, RodRow), there), []
@@ -357,13 +349,13 @@ def main() -> int:
         print(f"{row['condition']}: reference within {row['reference_um']} µm, MuJoCo's limit "
               f"{row['peer_um']} µm from it")  # fmt: skip
         for limit in TOLERANCES_UM:
-            ratios = ", ".join(f"{name} {row[f'{name}_{limit:g}']}" for name in available)
+            ratios = ", ".join(f"{name} {row[f'{name}_{limit:g}']}" for name in (*there, *absent))
             print(f"  {limit:g} µm: {ratios}; {row[f'engine_ms_{limit:g}']} ms of CPU per second")
     if options.table:
         options.table.mkdir(parents=True, exist_ok=True)
         write_measured(options.table / "rods_summary.csv", table, COMMAND)
-        (options.table / "rods.csv").unlink(missing_ok=True)  # of a former run
-        list(added_rows(options.table / "rods.csv", RodRow, frontier(tried_rows)))
+        best = [asdict(row) for row in frontier(tried_rows)]
+        write_measured(options.table / "rods.csv", best, COMMAND)
     return 0
 
 

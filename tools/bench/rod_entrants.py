@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
 from typing import Protocol
 
@@ -89,22 +90,23 @@ class EngineEntrant:
         return run
 
 
-def entrants() -> dict[str, RodEntrant | str]:
-    """All entrants by name; a reason in place of a missing one."""
-    by_name: dict[str, RodEntrant | str] = {"engine": EngineEntrant()}
-    try:
-        from tools.bench.bench_mujoco import MujocoEntrant
+#: Peers: module and class of each.
+PEERS = {
+    "MuJoCo": ("bench_mujoco", "MujocoEntrant"),
+    "PyElastica": ("bench_elastica", "ElasticaEntrant"),
+}
 
-        by_name["MuJoCo"] = MujocoEntrant()
-    except ImportError as error:
-        by_name["MuJoCo"] = f"not installed ({error})"
-    try:
-        from tools.bench.bench_elastica import ElasticaEntrant
 
-        by_name["PyElastica"] = ElasticaEntrant()
-    except ImportError as error:
-        by_name["PyElastica"] = f"not installed ({error})"
-    return by_name
+def entrants() -> tuple[dict[str, RodEntrant], dict[str, str]]:
+    """Entrants by name, and the reasons why others are missing."""
+    there: dict[str, RodEntrant] = {"engine": EngineEntrant()}
+    absent = {}
+    for name, (module, entrant) in PEERS.items():
+        try:
+            there[name] = getattr(import_module(f"tools.bench.{module}"), entrant)()
+        except ImportError as error:
+            absent[name] = f"not installed ({error})"
+    return there, absent
 
 
 def versions(entrant: RodEntrant) -> str:

@@ -23,6 +23,7 @@ from cell.settings import load_settings
 from cell.wiring.build import cell_with, real_devices
 from cell.wiring.emulated import EmulatedCell
 from tools.faults.short_cycles import short_cycles
+from tools.processes import status_of
 
 #: Shortest waits with which a cable can be identified, s.
 SHORTEST = {"calm_s": 0.0, "still_s": 0.3, "hold_s": 0.4, "decide_s": 0.3, "settle_s": 0.05}
@@ -40,9 +41,7 @@ class ResourceUse:
 
 
 def held_by(pid: int) -> ResourceUse:
-    status = dict(
-        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
-    )
+    status = status_of(pid)
     handles = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     return ResourceUse(int(status["VmRSS"].split()[0]), int(status["Threads"]), handles)
 
@@ -70,7 +69,6 @@ def report(name: str, rows: list[ResourceUse]) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=500)
-    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so long")
     parser.add_argument("--host", default="127.0.0.78", help="address of the emulated arm")
     parser.add_argument("--patience-s", type=float, default=0.15, help="with the gripper")
     arguments = parser.parse_args()
@@ -85,13 +83,9 @@ def main() -> int:
         settings = load_settings(path)
         with EmulatedCell(settings, seed=1) as emulated:
             devices = real_devices(settings)
-            steps: list[str] = []
-            cell = cell_with(
-                settings, devices, folder / "runs", lambda number, step: steps.append(step)
-            )
+            cell = cell_with(settings, devices, folder / "runs", lambda number, step: None)
             began_s = time.monotonic()
             for number in range(1, arguments.cycles + 1):
-                steps.clear()
                 result = cell.run_cycle(number)
                 outcomes[result.outcome.value] += 1
                 if result.outcome is Outcome.REJECTED:
@@ -105,8 +99,6 @@ def main() -> int:
                 if number % 25 == 0:
                     passed_s = time.monotonic() - began_s
                     print(f"{number:4d} {dict(outcomes)} {own[-1]} {passed_s:.0f} s", flush=True)
-                if time.monotonic() - began_s > 60.0 * arguments.minutes:
-                    break
             lost = emulated.camera.counts().dropped
             cell.close()
     count = sum(outcomes.values())

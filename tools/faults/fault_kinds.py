@@ -25,7 +25,7 @@ class Victim:
     child: Callable[[], int]
 
 
-Act = Callable[[Victim], None]
+Act = Callable[[Victim], object]
 
 
 @dataclass(frozen=True)
@@ -90,24 +90,23 @@ def _cable(there: bool) -> Act:
 
 
 def _arm(op: str, **arguments: Any) -> Act:
-    def act(victim: Victim) -> None:
-        victim.emulated.controller.request(op, **arguments)
-
-    return act
+    return lambda victim: victim.emulated.controller.request(op, **arguments)
 
 
 def _kill_child(victim: Victim) -> None:
     os.kill(victim.child(), signal.SIGKILL)
 
 
-def _camera_off_and_on(victim: Victim) -> None:
-    _camera(refuses=True)(victim)
-    threading.Timer(OFF_S, _camera(), (victim,)).start()
+def _off_and_on(off: Act, on: Act) -> Act:
+    def act(victim: Victim) -> None:
+        off(victim)
+        threading.Timer(OFF_S, on, (victim,)).start()
+
+    return act
 
 
-def _gripper_off_and_on(victim: Victim) -> None:
-    victim.emulated.gripper.unplug()
-    threading.Timer(OFF_S, victim.emulated.gripper.plug).start()
+def _nothing(victim: Victim) -> None:
+    """No repair: the cell connects again."""
 
 
 def _later(victim: Victim) -> None:
@@ -117,24 +116,24 @@ def _later(victim: Victim) -> None:
 
 KINDS = (
     Kind("arm", "refuses to connect", _arm("refuse", on=True), _arm("refuse", on=False), True),
-    Kind("arm", "connection drops", _arm("drop"), lambda victim: None),
+    Kind("arm", "connection drops", _arm("drop"), _nothing),
     Kind("arm", "freezes", _arm("freeze", seconds=1e6), _arm("freeze", seconds=0.0), True),
-    Kind("arm", "answers garbage", _arm("garbage"), lambda victim: None),
+    Kind("arm", "answers garbage", _arm("garbage"), _nothing),
     Kind("arm", "protective stop", _arm("protective_stop"), _arm("clear"), True),
     Kind("arm", "emergency stop", _arm("emergency_stop"), _arm("clear"), True),
-    Kind("arm", "child killed", _kill_child, lambda victim: None),
+    Kind("arm", "child killed", _kill_child, _nothing),
     Kind("arm", "power cycle", _arm("power_cycle", seconds=OFF_S), _later),
     Kind("camera", "refuses to connect", _camera(refuses=True), _camera(), True),
     Kind("camera", "connection drops", _camera(refuses=True), _camera()),
     Kind("camera", "falls silent", _camera(silent=True), _camera(), True),
     Kind("camera", "freezes", _camera(frozen=True), _camera()),
     Kind("camera", "answers garbage", _camera(garbage=True), _camera(), True),
-    Kind("camera", "power cycle", _camera_off_and_on, _later),
+    Kind("camera", "power cycle", _off_and_on(_camera(refuses=True), _camera()), _later),
     Kind("gripper", "refuses to connect", _unplug, _plug, True),
     Kind("gripper", "unplugged", _unplug, _plug),
     Kind("gripper", "falls silent", _gripper(silent=True), _gripper(), True),
     Kind("gripper", "answers garbage", _gripper(garbage=True), _gripper(), True),
     Kind("gripper", "bad checksums", _gripper(bad_crc=True), _gripper(), True),
-    Kind("gripper", "power cycle", _gripper_off_and_on, _later),
+    Kind("gripper", "power cycle", _off_and_on(_unplug, _plug), _later),
     Kind("gripper", "cable lost", _cable(False), _cable(True), drops_cable=True),
 )

@@ -1,12 +1,9 @@
-"""Results of fault trials: a summary, a table, and the same table as CSV."""
+"""Results of fault trials: a summary and a table."""
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Sequence
-from datetime import date
 
 import numpy as np
 
@@ -80,18 +77,3 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
     """The table as Markdown."""
     head = [COLUMNS, ["---"] * len(COLUMNS)]
     return "\n".join(f"| {' | '.join(line)} |" for line in [*head, *lines])
-
-
-def csv_text(lines: Sequence[Sequence[str]], command: str) -> str:
-    """The table with the day, the computer, its load and the command."""
-    origin = {
-        "measured_on": date.today().isoformat(),
-        "machine": f"{os.cpu_count()} cores",
-        "load": f"load {os.getloadavg()[0]:.0f}",
-        "command": command,
-    }
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*COLUMNS, *origin))
-    writer.writerows((*line, *origin.values()) for line in lines)
-    return text.getvalue()

@@ -44,7 +44,7 @@ from drivers.serial_gripper import SerialGripperOptions
 from tools.faults.fault_kills import STILL_S, KilledProcess, kill_somebody
 from tools.faults.fault_kinds import KINDS, FaultTrial, Victim
 from tools.faults.fault_table import (
-    csv_text,
+    COLUMNS,
     failures,
     markdown,
     stop_percentiles_ms,
@@ -53,6 +53,7 @@ from tools.faults.fault_table import (
 )
 from tools.faults.short_cycles import short_cycles
 from tools.plant.around import Plant
+from tools.studies.rows import write_measured
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "measured" / "fault_trials.csv"
@@ -70,17 +71,13 @@ HOLDING = tuple(step.name for step in INSERTING.steps if step.holding)
 def all_trials() -> list[FaultTrial]:
     trials = []
     for kind in KINDS:
-        if kind.fault == "refuses to connect":
-            trials.append(FaultTrial(kind, "connect"))
-            continue
         steps = INSERTING.names
-        if kind.drops_cable:
+        if kind.fault == "refuses to connect":
+            steps = ("connect",)
+        elif kind.drops_cable:
             steps = ("grasp", *HOLDING)
-        trials += [
-            FaultTrial(kind, s) for s in dict.fromkeys(steps) if s not in ("warm_up", "start")
-        ]
-        if not kind.at_connect:
-            trials = [t for t in trials if not (t.kind is kind and t.step == "connect")]
+        excluded = {"warm_up", "start"} | (set() if kind.at_connect else {"connect"})
+        trials += [FaultTrial(kind, s) for s in dict.fromkeys(steps) if s not in excluded]
     return trials
 
 
@@ -130,16 +127,16 @@ class FaultRig:
         self.cell: Cell = cell_with(settings, self.devices, runs, self._on_step)
         self.plant = PlantEnd(BuiltCell(self.cell, Products(settings)), runs, settings)
 
-    def be_patient(self, silent_s: float, device: str = "") -> None:
-        """Change the time limits of the drivers of gripper and camera, except that of `device`."""
+    def be_patient(self, device: str = "") -> None:
+        """Extend the time limits of the drivers of gripper and camera, except that of `device`."""
         gripper, camera = self.devices.gripper, self.devices.camera
-        reply_s = SHIPPED_S if device == "gripper" else silent_s
+        reply_s = SHIPPED_S if device == "gripper" else self.patience_s
         gripper._options = replace(gripper._options, reply_s=reply_s)
         if gripper._bus is not None:
             gripper._bus.serial.timeout = reply_s
         lost_s = CaptureOptions().lost_after_s
         if device != "camera":
-            lost_s = max(lost_s, silent_s)
+            lost_s = max(lost_s, self.patience_s)
         camera._options = replace(camera._options, lost_after_s=lost_s)
         if camera._stream is not None:
             camera._stream._options = camera._options
@@ -192,7 +189,7 @@ def run_trial(bench: FaultRig, trial: FaultTrial) -> None:
     bench.cell._steps.repeat([trial.step])  # also if it is done in the first cycle only
     bench.trial = trial
     bench.stopped_s.clear()
-    bench.be_patient(bench.patience_s, trial.kind.device)
+    bench.be_patient(trial.kind.device)
     result = bench.cycle()
     if result.outcome is not Outcome.FAILED:
         result = bench.cycle()
@@ -206,7 +203,7 @@ def run_trial(bench: FaultRig, trial: FaultTrial) -> None:
     bench.emulated.controller.request("refuse", on=False)
     trial.kind.repair(bench.victim)
     time.sleep(max(0.0, STILL_S - (time.monotonic() - ended_s)))
-    bench.be_patient(bench.patience_s)
+    bench.be_patient()
     after = bench.cycle()
     if after.outcome is not Outcome.INSERTED:
         trial.wrong.append(f"the next cycle: {after.outcome.value} {after.reason} {after.fault}")
@@ -315,8 +312,9 @@ def main() -> int:
     lines = table(chosen, kills, arguments.bar_ms)
     print("\n".join([*summary(chosen, kills), "", markdown(lines), "", *failures(chosen)]))
     if arguments.output is not None:
-        words = ["python", "-m", "tools.faults.fault_trials", *sys.argv[1:]]
-        arguments.output.write_text(csv_text(lines, " ".join(words)), encoding="utf-8")
+        command = " ".join(["python -m tools.faults.fault_trials", *sys.argv[1:]])
+        rows = [dict(zip(COLUMNS, line, strict=True)) for line in lines]
+        write_measured(arguments.output, rows, command)
     slow = stop_percentiles_ms(chosen, 99.0)[0] > arguments.bar_ms
     moved = any(k.moved_on_s > STILL_S for k in kills)
     return int(any(t.wrong for t in chosen) or slow or moved)

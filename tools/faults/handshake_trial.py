@@ -15,11 +15,9 @@ import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Request, Status
@@ -33,17 +31,15 @@ from tools.faults.scripted_plc import (
     Plc,
     places,
 )
-from tools.processes import free_port, listens, running, wait_until
+from tools.processes import BEGIN_S, free_port, listens, running, wait_until
+from tools.shipped_settings import FAKE, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Interval of the cycles that a person aborts, while the cable is lowered.
 ABORTED_EVERY = 5
 #: An opening in which some cables are not inserted, to test the report of that, too.
 NARROW_M = [-0.107, -0.105]
 #: Signal to the PLC for an outcome.
 REPORTED = {"inserted": "done", "missed": "rejected", "rejected": "rejected", "unfit": "rejected"}
-#: Time limit for the start of the service, s: on a new computer it compiles.
-_BEGIN_S = 180.0
 
 
 @dataclass(frozen=True)
@@ -93,12 +89,9 @@ def _wrong_starts(log: Sequence[dict[str, Any]], happened: Sequence[Notice]) -> 
                 faulted = True
             case MessageKind.ACKNOWLEDGED:
                 faulted = False
-            case MessageKind.STATE if notice.data["state"] in (
-                CellState.STARTING,
-                CellState.RESETTING,
-            ):
+            case MessageKind.STATE:
                 state = notice.data["state"]
-                if faulted:
+                if faulted and state in (CellState.STARTING, CellState.RESETTING):
                     yield f"{state} after a fault without an acknowledgement"
                 if state != CellState.STARTING:
                     continue
@@ -148,11 +141,9 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
     port = free_port()
     handshake = {"carrier": carrier, "silence_s": SILENCE_S, **places()}
     handshake |= {"host": host} if controller else {"port": port}
-    settings = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    settings |= {"plant": {"handshake": handshake}, "recording": None}
-    settings["destination"]["y_m"] = NARROW_M
+    changes = {"plant": {"handshake": handshake}, "recording": None, "destination.y_m": NARROW_M}
     config, runs = folder / "cell.yaml", folder / "runs"
-    config.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    config.write_text(with_entries(FAKE, changes), encoding="utf-8")
     options = ["-c", str(config)]
     with ExitStack() as stack:
         stack.enter_context(EmulatedController(host) if controller else nullcontext())
@@ -160,9 +151,9 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
             Plc(ControllerWire(host)).say()  # the PLC has power: a stop would stop
         run = ("cell", "run", *options, "--cycles", "forever", "--runs", str(runs))
         stack.enter_context(running(*run, log=folder / "cell.log"))
-        client = Client(runs).connect(wait_s=_BEGIN_S)
+        client = Client(runs).connect(wait_s=BEGIN_S)
         follower = Follower(client)
-        assert follower.is_idle.wait(_BEGIN_S), "the cell is not ready"
+        assert follower.is_idle.wait(BEGIN_S), "the cell is not ready"
         serve = ("cell", "-v", "handshake", *options, "--runs", str(runs))
         stack.enter_context(running(*serve, log=folder / "handshake.log"))
         if not controller:
@@ -175,9 +166,7 @@ def trial(carrier: str, cycles: int, host: str, folder: Path) -> HandshakeFindin
         (folder / "plc.jsonl").write_text(done.stdout, encoding="utf-8")
         result = compared(plc_log, follower.happened)
         if done.returncode != 0:
-            result = HandshakeFindings(
-                **{**vars(result), "wrong": (*result.wrong, "the PLC gave up")}
-            )
+            result = replace(result, wrong=(*result.wrong, "the PLC gave up"))
     return result
 
 

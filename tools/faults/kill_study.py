@@ -16,11 +16,10 @@ import random
 import signal
 import sqlite3
 import struct
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +32,7 @@ from cell.records.ledger.ledger import Ledger, LedgerQuery, ListedCycle
 from cell.records.recording import form
 from cell.records.recording.reading import Recording, read_recording
 from cell.records.recording.recover import being_written, recover_in_place, torn_recordings
-from tools.processes import family
+from tools.processes import Program, family, wait_until
 from tools.studies.rows import added_rows
 
 ROOT = Path(__file__).parents[2]
@@ -117,18 +116,19 @@ def kill_once(
         shared.flush()
         command = [sys.executable, "-c", _CHILD, config, runs, shared.name, number + 1, speed]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        child = subprocess.Popen(list(map(str, command)), env=environment, cwd=ROOT)
+        child = Program(list(map(str, command)), env=environment, cwd=ROOT)
         try:
-            _wait(child, lambda: any('"grasp"' in f.read_text() for f in runs.glob("*/state.json")))
+            states = "*/state.json"
+            wait_until(lambda: any('"grasp"' in f.read_text() for f in runs.glob(states)), child)
             time.sleep(after_s)
             memory = mmap.mmap(shared.fileno(), 16)
-            ids = family(child.pid) if both else [child.pid]
+            pid = child.process.pid
+            ids = family(pid) if both else [pid]
             now_s, frame_s = struct.unpack("<dd", memory[:16])
             for process in ids:
                 os.kill(process, signal.SIGKILL)
         finally:
-            child.kill()
-            child.wait()
+            child.end()
     deadline = time.monotonic() + 300.0  # it runs in the spare time of a busy computer
     while any(being_written(p) for p in runs.rglob(form.PART)):
         if time.monotonic() > deadline:
@@ -170,11 +170,8 @@ def _ledger_cycles(runs: Path) -> list[ListedCycle]:
             raise RuntimeError(f"{place} is damaged")
         if not database.execute("SELECT * FROM sqlite_master").fetchall():  # as it was being made
             return []
-    ledger = Ledger(runs)
-    try:
+    with closing(Ledger(runs)) as ledger:
         return ledger.listed(LedgerQuery())
-    finally:
-        ledger.close()
 
 
 def _known_until_s(recording: Recording) -> float:
@@ -186,14 +183,6 @@ def _known_until_s(recording: Recording) -> float:
             (m.log_time for _, _, m in messages), default=int(recording.started[form.EPOCH])
         )
     return (last_ns - int(recording.started[form.EPOCH])) / 1e9
-
-
-def _wait(child: subprocess.Popen[bytes], there: Callable[[], bool], seconds: float = 60.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not there():
-        if child.poll() is not None or time.monotonic() > end_s:
-            raise RuntimeError("the cell did not begin to record")
-        time.sleep(0.005)
 
 
 def table(kills: list[KilledCell]) -> str:

@@ -332,17 +332,13 @@ def play(plc: Plc, cycles: int, log: Callable[..., None]) -> None:
             plc.release()
 
 
-def wire_to(place: str) -> Wire:
-    """The wire for an argument of the command line."""
-    kind, _, where = place.partition(":")
-    return ModbusWire(int(where)) if kind == "modbus" else ControllerWire(where)
-
-
 def main(place: str, cycles: int) -> None:
     def log(**entry: object) -> None:
         print(json.dumps({"time_s": time.time(), **entry}), flush=True)
 
-    play(Plc(wire_to(place), log, LONGEST_S), cycles, log)
+    kind, _, where = place.partition(":")
+    wire: Wire = ModbusWire(int(where)) if kind == "modbus" else ControllerWire(where)
+    play(Plc(wire, log, LONGEST_S), cycles, log)
 
 
 if __name__ == "__main__":

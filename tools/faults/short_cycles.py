@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
-CONFIG = Path(__file__).parents[2] / "config" / "emulated.yaml"
+from cell.files.yaml_edit import UNSET
+from tools.shipped_settings import EMULATED, with_entries
 
 
 def short_cycles(
@@ -19,16 +18,19 @@ def short_cycles(
     own_patience      use the emulated cell's time limit for the camera, not that of a real driver
     motion_s          entries of `motion`
     """
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    content["arm"]["host"] = host
-    camera = content["camera"]
-    camera.update(device=f"tcp://{host}:5600", width_px=640, height_px=512, frame_rate_hz=50.0)
-    camera["view"] = {"metres_per_pixel": 0.0004, "origin_column_px": 500, "origin_row_px": 75}
+    changes = {f"motion.{name}": value for name, value in motion_s.items()} | {
+        "motion.offsets.step_m": 0.002,
+        "arm.host": host,
+        "camera.device": f"tcp://{host}:5600",
+        "camera.width_px": 640,
+        "camera.height_px": 512,
+        "camera.frame_rate_hz": 50.0,
+        "camera.view": {"metres_per_pixel": 4e-4, "origin_column_px": 500, "origin_row_px": 75},
+        "gripper.port": str(folder / "gripper"),
+        "gripper.reply_s": reply_s,
+    }
     if not own_patience:
-        camera.pop("lost_after_s")
-    content["gripper"].update(port=str(folder / "gripper"), reply_s=reply_s)
-    content["motion"].update(motion_s)
-    content["motion"]["offsets"]["step_m"] = 0.002
+        changes["camera.lost_after_s"] = UNSET
     path = folder / "short.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(with_entries(EMULATED, changes), encoding="utf-8")
     return path

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import cv2
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
+from tools.shipped_settings import FAKE
+
 WIDTH_PX = 1024
 
 
@@ -23,7 +24,7 @@ def main() -> None:
     parser.add_argument("--seed", default="1")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        words = ["run", "--config", CONFIG, "--seed", options.seed, "--runs", folder]
+        words = ["run", "--config", FAKE, "--seed", options.seed, "--runs", folder]
         subprocess.run([sys.executable, "-m", "cell", *map(str, words)], check=True)
         (path,) = Path(folder).glob("*/execute_passage.jpg")
         picture = cv2.imread(str(path))

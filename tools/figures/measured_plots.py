@@ -9,7 +9,6 @@ The same files give the same pictures with the same version of matplotlib.  Inte
 from __future__ import annotations
 
 import argparse
-import csv
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
@@ -35,28 +35,20 @@ STYLE = {
 DECIMALS = re.compile(r"(?<=\d\.\d\d)\d+(?=[^<>]*>)")
 MARKS = ("median", "largest")
 MARKERS = "osD^vP*Xh"
-Rows = list[dict[str, str]]
 Marks = tuple[str, str]
 
 
-def read(name: str) -> Rows:
+def read(name: str) -> pd.DataFrame:
     """Rows of a file of measured results."""
-    with (DOCS / "measured" / f"{name}.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return pd.read_csv(DOCS / "measured" / f"{name}.csv")
 
 
-def numbers(rows: Rows, column: str) -> np.ndarray:
-    """Numbers of a column; nan where it is empty."""
-    return np.array([float(r[column] or "nan") for r in rows])
-
-
-def share(axes: Axes, y: ArrayLike, of: Rows, count: str, colour: str, label: str) -> None:
+def share(axes: Axes, y: ArrayLike, of: pd.DataFrame, count: str, colour: str, label: str) -> None:
     """Percent of n, with Wilson intervals."""
-    tests = [binomtest(int(row[count]), int(row["n"])) for row in of]
+    tests = [binomtest(int(k), int(n)) for k, n in zip(of[count], of["n"], strict=True)]
     ends = np.array([test.proportion_ci(method="wilson") for test in tests])
     axes.hlines(y, *(100 * ends.T), color=colour, lw=1.5)
-    percent = 100 * numbers(of, count) / numbers(of, "n")
-    axes.plot(percent, y, "o", ms=4.5, color=colour, label=label)
+    axes.plot(100 * of[count] / of["n"], y, "o", ms=4.5, color=colour, label=label)
 
 
 def named(axes: Axes, names: Sequence[str], unit: str) -> None:
@@ -85,49 +77,46 @@ def panels(heights: Sequence[int]) -> tuple[Figure, list[Axes]]:
     return figure, list(grid[:, 0])
 
 
-def ranges(axes: Axes, rows: Rows, low: str, high: str, unit: str, marks: Marks) -> None:
+def ranges(axes: Axes, rows: pd.DataFrame, low: str, high: str, unit: str, marks: Marks) -> None:
     """Two values of each row, joined, on a logarithmic axis."""
-    a, b = numbers(rows, low), numbers(rows, high)
-    axes.hlines(range(len(a)), a, np.where(np.isnan(b), a, b), color="#bbbbbb", lw=1.5)
-    axes.plot(a, range(len(a)), "o", ms=4.5, color=BLUE, label=marks[0])
-    axes.plot(b, range(len(b)), "D", ms=4, mfc="white", color=ORANGE, label=marks[1])
+    places, a, b = range(len(rows)), rows[low], rows[high]
+    axes.hlines(places, a, b.fillna(a), color="#bbbbbb", lw=1.5)
+    axes.plot(a, places, "o", ms=4.5, color=BLUE, label=marks[0])
+    axes.plot(b, places, "D", ms=4, mfc="white", color=ORANGE, label=marks[1])
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
-    named(axes, [r["condition"] for r in rows], unit)
-    for value in {r["goal"] for r in rows if r.get("goal")}:
-        goal(axes, float(value))
+    named(axes, list(rows["condition"]), unit)
+    for value in rows["goal"].dropna().unique() if "goal" in rows else ():
+        goal(axes, value)
 
 
 def pairs(
     name: str, low: str = "median", high: str = "largest", marks: Marks = MARKS, unit: str = ""
 ) -> Figure:
     """Two values of each row of a file, a panel for each unit."""
-    groups: dict[str, Rows] = {}
-    for row in read(name):
-        of = unit or row["unit"]
-        if row[low] and of not in ("ratio", "MiB", "% of a core"):
-            groups.setdefault(of, []).append(row)
-    figure, axes = panels([len(rows) for rows in groups.values()])
-    for ax, (of, rows) in zip(axes, groups.items(), strict=True):
-        ranges(ax, rows, low, high, of, marks)
+    rows = read(name).dropna(subset=low)
+    rows = rows.assign(unit=unit) if unit else rows
+    rows = rows[~rows["unit"].isin(["ratio", "MiB", "% of a core"])]
+    figure, axes = panels(list(rows.groupby("unit", sort=False).size()))
+    for ax, (of, some) in zip(axes, rows.groupby("unit", sort=False), strict=True):
+        ranges(ax, some, low, high, str(of), marks)
     legend(figure, axes[0])
     return figure
 
 
 def lab() -> Figure:
     """Right verdicts by kind of study; numbers of studies and of wrong verdicts."""
-    rows = [r for r in read("lab") if r["n"] != "1"]
+    rows = read("lab").query("n != 1").reset_index()
     figure, (axes,) = panels([len(rows)])
-    for kind, colour in zip(dict.fromkeys(r["hidden"] for r in rows), COLOURS, strict=False):
-        y = [i for i, r in enumerate(rows) if r["hidden"] == kind]
-        share(axes, y, [rows[i] for i in y], "right", colour, kind)
-    for place, row in enumerate(rows):
-        most = binomtest(int(row["wrong"]), int(row["n"])).proportion_ci().high
-        axes.text(102, place, f"{row['wrong']} of {row['n']}, < {100 * most:.0f} %", va="center")
+    for (kind, of), colour in zip(rows.groupby("hidden", sort=False), COLOURS, strict=False):
+        share(axes, of.index, of, "right", colour, str(kind))
+    for place, wrong, n in zip(rows.index, rows["wrong"], rows["n"], strict=True):
+        most = binomtest(wrong, n).proportion_ci().high
+        axes.text(102, place, f"{wrong} of {n}, < {100 * most:.0f} %", va="center")
     goal(axes, 90.0)
     axes.set_xlim(20, 101)
-    named(axes, [r["condition"] for r in rows], "right verdicts, % (95 % interval)")
+    named(axes, list(rows["condition"]), "right verdicts, % (95 % interval)")
     axes.text(102, -1, "wrong (95 % bound)", va="center")
     legend(figure, axes, 4)
     return figure
@@ -135,14 +124,13 @@ def lab() -> Figure:
 
 def several(name: str, group: str, rows_of: str, count: str, unit: str) -> Figure:
     """Plot shares of several groups for each condition."""
-    rows = [r for r in read(name) if r[group]]
-    names = list(dict.fromkeys(r[rows_of] for r in rows))
-    groups = list(dict.fromkeys(r[group] for r in rows))
+    rows = read(name).dropna(subset=group)
+    names = list(rows[rows_of].unique())
+    groups = rows.groupby(group, sort=False)
     figure, (axes,) = panels([2 * len(names)])
-    for i, (row, colour) in enumerate(zip(groups, COLOURS, strict=False)):
-        of = [r for r in rows if r[group] == row]
-        y = [names.index(r[rows_of]) + 0.22 * (i - (len(groups) - 1) / 2) for r in of]
-        share(axes, y, of, count, colour, row)
+    for i, ((label, of), colour) in enumerate(zip(groups, COLOURS, strict=False)):
+        y = [names.index(r) + 0.22 * (i - (len(groups) - 1) / 2) for r in of[rows_of]]
+        share(axes, y, of, count, colour, str(label))
     named(axes, names, f"{unit}, % (95 % interval)")
     if count == "right":
         goal(axes, 90.0)
@@ -155,18 +143,18 @@ def intervals() -> Figure:
     figure, (axes, below) = panels([len(rows), len(errors)])
     share(axes, range(len(rows)), rows, "inside", BLUE, "inside, 95 % interval")
     goal(axes, 95.0)
-    named(axes, [r["condition"] for r in rows], "95 % intervals that contain the truth, %")
+    named(axes, list(rows["condition"]), "95 % intervals that contain the truth, %")
     ranges(below, errors, "median", "largest", "error of position, mm", MARKS)
     legend(figure, axes)
     return figure
 
 
 def correction() -> Figure:
-    rows = [r for r in read("correction") if r["half_mm"] == "2" and "× 2" not in r["condition"]]
+    rows = read("correction").query("half_mm == 2 and not condition.str.contains('× 2')")
     figure, (axes,) = panels([len(rows)])
     for dy, way, colour in ((-0.15, "planned", GREY), (0.15, "corrected", ORANGE)):
         share(axes, np.arange(len(rows)) + dy, rows, f"inserted_{way}", colour, way)
-    named(axes, [r["condition"].removesuffix(", ± 2 mm") for r in rows],
+    named(axes, list(rows["condition"].str.removesuffix(", ± 2 mm")),
           "of 20 cables inserted, % (95 % interval); opening ± 2 mm")  # fmt: skip
     legend(figure, axes)
     return figure
@@ -174,20 +162,19 @@ def correction() -> Figure:
 
 def benchmark_effects() -> Figure:
     """Right against wrong claims of each entrant, as the threshold of abstaining rises."""
-    rows = [r for r in read("benchmark_effects") if r["hidden"] == "all"]
+    rows = read("benchmark_effects").query("hidden == 'all'")
     figure = Figure((7.2, 4.6), layout="constrained")
-    axes, names = figure.subplots(), list(dict.fromkeys(r["condition"] for r in rows))
-    for i, name in enumerate(names):
-        of = [r for r in rows if r["condition"] == name]
-        wrong, right = (100 * numbers(of, c) / numbers(of, "n") for c in ("wrong", "right"))
+    axes = figure.subplots()
+    for i, (name, of) in enumerate(rows.groupby("condition", sort=False)):
+        wrong, right = (100 * of[c] / of["n"] for c in ("wrong", "right"))
         style = {"color": COLOURS[i % len(COLOURS)], "ls": ("-", "--", ":")[i // len(COLOURS)]}
-        usual = [r["threshold"] for r in of].index("0.5")
-        label = f"{name}, n = {of[0]['n']}"
-        axes.plot(wrong, right, lw=1.2, marker=MARKERS[i], markevery=[usual], label=label, **style)
-        for x, y, count in ((wrong, right, "right"), (wrong, right, "wrong")):
-            low, high = (100 * numbers(of, f"{count}_{end}")[usual] for end in ("low", "high"))
-            line = (axes.vlines, x) if count == "right" else (axes.hlines, y)
-            line[0](line[1][usual], low, high, color=style["color"], lw=0.5, alpha=0.5)
+        place = list(of["threshold"]).index(0.5)
+        usual, x, y = of.iloc[place], wrong.iloc[place], right.iloc[place]
+        label = f"{name}, n = {usual['n']}"
+        axes.plot(wrong, right, lw=1.2, marker=MARKERS[i], markevery=[place], label=label, **style)
+        for line, at, count in ((axes.vlines, x, "right"), (axes.hlines, y, "wrong")):
+            low, high = (100 * usual[f"{count}_{end}"] for end in ("low", "high"))
+            line(at, low, high, color=style["color"], lw=0.5, alpha=0.5)
     axes.set(xlim=(-2, 102), ylim=(-2, 102), xlabel="wrong claims, %", ylabel="right claims, %")
     figure.legend(loc="outside right upper")
     return figure
@@ -195,17 +182,17 @@ def benchmark_effects() -> Figure:
 
 def rods() -> Figure:
     """Error of the tip against CPU time by task, of settings that halve the error."""
-    rows = [r for r in read("rods") if r["reference_um"] != "nan"]
-    tasks, names = (list(dict.fromkeys(r[c] for r in rows)) for c in ("task", "entrant"))
+    rows = read("rods").dropna(subset="reference_um")
+    by_task, names = rows.groupby("task", sort=False), rows["entrant"].unique()
     figure = Figure((7.2, 4.8), layout="constrained")
-    grid = figure.subplots(2, -(-len(tasks) // 2), sharex=True, sharey=True)
-    for axes, task in zip(grid.flat, tasks, strict=False):
+    grid = figure.subplots(2, -(-len(by_task) // 2), sharex=True, sharey=True)
+    for axes, (task, of_task) in zip(grid.flat, by_task, strict=False):
         for name, colour, marker in zip(names, COLOURS, MARKERS, strict=False):
-            of = list[dict[str, str]]()
-            for row in (r for r in rows if (r["task"], r["entrant"]) == (task, name)):
-                if not of or float(row["rms_um"]) < 0.5 * float(of[-1]["rms_um"]):
-                    of.append(row)
-            cost, error = numbers(of, "cpu_ms"), numbers(of, "rms_um")
+            cost, error = list[float](), list[float]()
+            of = of_task[of_task["entrant"] == name]
+            for cpu_ms, rms_um in zip(of["cpu_ms"], of["rms_um"], strict=True):
+                if not error or rms_um < 0.5 * error[-1]:
+                    cost, error = [*cost, cpu_ms], [*error, rms_um]
             axes.loglog(cost, error, marker=marker, ms=3, lw=1, color=colour, label=name)
         axes.set_title(task, fontsize=9)
         axes.set_ylim(0.5, 3e3)

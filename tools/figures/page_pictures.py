@@ -20,15 +20,15 @@ from PIL import Image
 
 from tools.plant.browser import Browser, Pages
 from tools.processes import Program, wait_until
+from tools.shipped_settings import FAKE, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 CABLES = 12
 #: An opening so low that a few cables are rejected; the cell moves in real time.
-CHANGES = (
-    ("y_m: [-0.111, -0.101]", "y_m: [-0.1082, -0.1038]"),
-    ("  offsets:", "  start: {}\n  offsets:"),
-    ("\nworld:", "\nledger: {shifts: ['%H:%M']}\nworld:\n  real_time_factor: 1.0\n "),
-)
+CHANGES = {
+    "destination.y_m": [-0.1082, -0.1038],
+    "motion.start": {},
+    "world.real_time_factor": 1.0,
+}
 SIZES_PX = {
     "live": (1152, 720),
     "history": (1152, 1000),
@@ -44,11 +44,7 @@ def _cell(*words: object) -> list[str]:
 
 def settings_text(now: datetime) -> str:
     """Settings of the cell, whose shift begins at this local time."""
-    text = CONFIG.read_text(encoding="utf-8")
-    for old, new in CHANGES:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return text.replace("%H:%M", f"{now:%H:%M}")
+    return with_entries(FAKE, CHANGES | {"ledger": {"shifts": [f"{now:%H:%M}"]}})
 
 
 def photograph(driver: Any, path: Path, pause_s: float = 1.0) -> None:
@@ -92,6 +88,7 @@ def main() -> None:
         finally:
             cell.process.terminate()
             cell.process.wait()
+            cell.end()
 
 
 def _take(

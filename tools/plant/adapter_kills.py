@@ -10,8 +10,6 @@ chosen offset, margin and steps of the n-th cycle must be the same.
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,8 +19,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cell.plant.client import Client
 from cell.plant.messages import MessageKind, Notice, Request, Status
 from cell.run.machine import MachineEvent
@@ -30,8 +26,8 @@ from cell.run.plans import INSERTING
 from tools.plant.around import ADAPTERS, Plant
 from tools.plant.viewer import Viewer
 from tools.processes import running
+from tools.shipped_settings import FAKE, with_entries
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 #: Number of cycles beyond the kills: not every cycle has every step.
 SPARE = 3
 #: Entries of a result that must not depend on kills.
@@ -52,16 +48,19 @@ class MadeCycle:
         return ", ".join(names)
 
 
-def quick(config: Path) -> Path:
-    """Write settings of the simulated cell with fewer, smaller pictures, and without recordings."""
-    content = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    content["camera"].update(frame_rate_hz=100.0, width_px=800, height_px=640)
+def quick(config: Path, recording: dict[str, int] | None = None) -> Path:
+    """Write settings of the simulated cell with fewer, smaller pictures, and these recordings."""
     view = {"metres_per_pixel": 0.00032, "origin_column_px": 625, "origin_row_px": 93.75}
-    content["camera"]["view"] = view
-    content["motion"]["hold_s"] = 0.4
-    content["motion"]["offsets"]["step_m"] = 0.004
-    content["recording"] = None
-    config.write_text(yaml.safe_dump(content), encoding="utf-8")
+    changes = {
+        "camera.frame_rate_hz": 100.0,
+        "camera.width_px": 800,
+        "camera.height_px": 640,
+        "camera.view": view,
+        "motion.hold_s": 0.4,
+        "motion.offsets.step_m": 0.004,
+        "recording": recording,
+    }
+    config.write_text(with_entries(FAKE, changes), encoding="utf-8")
     return config
 
 
@@ -72,9 +71,12 @@ def service(config: Path, runs: Path, log: Path) -> AbstractContextManager[objec
 
 
 def made(
-    client: Client, messages: Iterator[Notice | Status], on_step: Callable[[str], None]
+    client: Client,
+    messages: Iterator[Notice | Status],
+    at_step: str = "",
+    kill: Callable[[], object] = lambda: None,
 ) -> MadeCycle:
-    """Run one cycle from Idle; `on_step` is called when a step begins."""
+    """Run one cycle from Idle; when a step begins, kill."""
     for message in messages:
         waits = message.data if isinstance(message, Notice) else vars(message)
         if "start" in waits.get("waiting_for", ()):
@@ -87,7 +89,8 @@ def made(
             raise RuntimeError("the cell was lost")
         if message.kind is MessageKind.STEP:
             steps.append(message.data["step"])
-            on_step(steps[-1])
+            if steps[-1] == at_step:
+                kill()
         if message.kind is MessageKind.RESULT:
             return MadeCycle(dict(message.data), tuple(steps))
     raise RuntimeError("the client was closed")
@@ -122,12 +125,12 @@ def main() -> int:
     planned, done, wrong = list(product(adapters, options.steps)), 0, 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = quick(folder / "quick.yaml") if options.quick else CONFIG
+        config = quick(folder / "quick.yaml") if options.quick else FAKE
         with service(config, folder / "untouched" / "runs", folder / "log"):
             client = Client(folder / "untouched" / "runs", timeout_s=60.0).connect(120.0)
             messages = client.follow()
             count = len(planned) + SPARE
-            untouched = [made(client, messages, lambda step: None) for _ in range(count)]
+            untouched = [made(client, messages) for _ in range(count)]
         runs = folder / "killed" / "runs"
         with ExitStack() as stack:
             stack.enter_context(service(config, runs, folder / "log"))
@@ -141,17 +144,11 @@ def main() -> int:
             messages = client.follow()
             for chosen, meant in zip(assigned(planned, untouched), untouched, strict=True):
                 if chosen is None:
-                    made(client, messages, lambda step: None)
+                    made(client, messages)
                     continue
                 adapter, step = chosen
                 victim = plant.running[adapter].process
-
-                def kill(begun: str, step: str = step, pid: int = victim.pid) -> None:
-                    if begun == step:
-                        os.kill(pid, signal.SIGKILL)
-
-                cycle = made(client, messages, kill)
-                differs = cycle.differs(meant)
+                differs = made(client, messages, step, victim.kill).differs(meant)
                 victim.wait(10.0)
                 done += 1
                 wrong += bool(differs)

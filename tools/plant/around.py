@@ -11,14 +11,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import yaml
-
 from cell.computer.watched import cpu_s
 from cell.plant.children import command_of
 from cell.plant.link import Link
-from cell.plant.messages import CommandReply, MessageKind, Request, Status
+from cell.plant.messages import CommandReply, MessageKind, Status
 from cell.run.machine import CellState
-from tools.processes import Program, free_port, listens, wait_until
+from tools.processes import Program, free_port, going_on, listens, wait_until
+from tools.shipped_settings import with_entries
 
 #: All adapters; `serve` are the pages.
 ADAPTERS = ("opcua", "mqtt", "handshake", "serve")
@@ -52,13 +51,12 @@ class Plant:
         self.ports = {name: free_port() for name in ADAPTERS}
         self.config = folder / "plant.yaml"
         folder.mkdir(parents=True, exist_ok=True)
-        content = yaml.safe_load(base.read_text(encoding="utf-8"))
-        content["plant"] = {
+        section = {
             "opcua": {"port": self.ports["opcua"], "folder": str(folder / "opcua"), "name": UNIT},
             "mqtt": {"broker": "127.0.0.1", "port": self.ports["mqtt"], "retry_s": 0.5},
             "handshake": {"port": self.ports["handshake"]},
         }
-        self.config.write_text(yaml.safe_dump(content), encoding="utf-8")
+        self.config.write_text(with_entries(base, {"plant": section}), encoding="utf-8")
         self.running: dict[str, Program] = {}
         self._opened = ExitStack()
 
@@ -123,29 +121,18 @@ class Plant:
 def published(runs: Path) -> Iterator[None]:
     """Open the link of an invented cell, and publish notices of its cycles."""
     refused = CommandReply(False, CellState.EXECUTE, "this cell only publishes")
-
-    def refuse(request: Request) -> CommandReply:
-        return refused
-
-    over = threading.Event()
     begun = Status(run="", sequence=0, state=CellState.EXECUTE, since_s=time.time())
-    with Link(runs, begun, refuse) as link:
+    with Link(runs, begun, lambda _: refused) as link:
 
-        def publish() -> None:
+        def publish(over: threading.Event) -> None:
             number = 0
             while not over.wait(_STEP_S):
                 number += 1
-                link.publish(
-                    MessageKind.STEP, {"step": f"step {number % 20}", "cycle": number // 20}
-                )
+                cycle = number // 20
+                link.publish(MessageKind.STEP, {"step": f"step {number % 20}", "cycle": cycle})
                 if number % 20 == 0:
-                    result = {"cycle": number // 20, "outcome": "inserted", "margin_m": 1e-3}
+                    result = {"cycle": cycle, "outcome": "inserted", "margin_m": 1e-3}
                     link.publish(MessageKind.RESULT, result)
 
-        thread = threading.Thread(target=publish, name="published", daemon=True)
-        thread.start()
-        try:
+        with going_on(publish):
             yield
-        finally:
-            over.set()
-            thread.join()

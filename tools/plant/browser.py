@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.computer.watched import cpu_s
-from tools.processes import Program, family, free_port, listens, wait_until
+from tools.processes import Program, family, free_port, listens, status_of, wait_until
 
 _FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -45,7 +45,8 @@ class Pages:
 
     def rss_bytes(self) -> int:
         """Resident memory of the process and its child processes."""
-        return sum(_rss_bytes(pid) for pid in family(self.program.process.pid))
+        each = (status_of(pid).get("VmRSS", "0 kB") for pid in family(self.program.process.pid))
+        return sum(_KIB * int(size.split()[0]) for size in each)
 
     def cpu_s(self) -> float:
         """CPU time of the process so far, s."""
@@ -106,11 +107,3 @@ class Browser:
             if time.monotonic() > until_s:
                 raise RuntimeError(f"{self.driver.current_url}: {self.text('body')[:500]}")
             time.sleep(0.01)
-
-
-def _rss_bytes(process: int) -> int:
-    try:
-        lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    except OSError:
-        return 0
-    return next((int(x.split()[1]) * _KIB for x in lines if x.startswith("VmRSS")), 0)

@@ -21,13 +21,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from cell.plant.client import Client
 from cell.plant.link import Link
@@ -40,6 +38,7 @@ from cell.settings import load_settings
 from cell.settings.provenance import line_name
 from tools.plant.adapter_kills import quick, service
 from tools.plant.browser import Browser, Pages
+from tools.processes import going_on
 
 MIB = 1 << 20
 #: Largest permitted growth of the process after the first tenth, bytes.
@@ -135,19 +134,6 @@ class Line:
         new = {"cycle": self.cycles, "part": f"A-{self.cycles}", "folder": str(folder)}
         new["since"] = time.time()
         return {k: new.get(k, v) for k, v in notice.data.items()}
-
-
-@contextmanager
-def going_on(task: Callable[[threading.Event], None]) -> Iterator[None]:
-    """Run a task in a thread within the `with`; its event requests the end."""
-    over = threading.Event()
-    thread = threading.Thread(target=task, args=(over,), daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join(60.0)
 
 
 def stalls(browser: Browser) -> Callable[[threading.Event], None]:
@@ -250,10 +236,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = quick(folder / "cell.yaml")
-        content = yaml.safe_load(config.read_text(encoding="utf-8"))
-        content["recording"] = {"keep_every": 1}
-        config.write_text(yaml.safe_dump(content), encoding="utf-8")
+        config = quick(folder / "cell.yaml", {"keep_every": 1})
         cycle = recorded(folder, config)
         count = max(1, round(options.hours * 3600.0 / options.cycle_s))
         return int(not soak(folder, cycle, config, count, options.cycle_s / options.speed))

@@ -14,6 +14,7 @@ from typing import Any
 import typer.core
 import yaml
 from typer.main import get_command
+from typing_extensions import is_protocol
 
 import cell
 from cell.cli import PANELS, app
@@ -32,8 +33,10 @@ from cell.settings.plugged import PluggedArm, PluggedCamera, PluggedGripper
 from cell.settings.section import Section
 from cell.study.checks import CHECKS as DATA_CHECKS
 from drivers import interfaces
+from tools.shipped_settings import FAKE
 
-CONFIG = Path(__file__).parents[2] / "config"
+#: Packages whose classes and functions are described.
+OURS = ("cell", "drivers")
 #: Codes of warnings in files of versions before.
 _OLD_CODES = {
     "heldout_insensitive": "unconfirmed",
@@ -74,14 +77,9 @@ def _command(name: str, command: Any) -> Iterator[str]:
         if option.param_type_name == "option" and not option.hidden and option.name != "help":
             names = ", ".join(f"`{o}`" for o in (*option.opts, *option.secondary_opts))
             default = option.default
-            usual = (
-                f" Default: `{default}`."
-                if isinstance(default, (str, int, float, Path))
-                and not isinstance(default, bool)
-                and str(default)
-                and option.show_default is True
-                else ""
-            )
+            plain = isinstance(default, (str, int, float, Path)) and not isinstance(default, bool)
+            shown = plain and str(default) and option.show_default is True
+            usual = f" Default: `{default}`." if shown else ""
             lines.append(f"- {names}: {option.help or ''}{usual}")
     yield "\n".join(lines)
 
@@ -91,7 +89,7 @@ def _command(name: str, command: Any) -> Iterator[str]:
 
 def settings() -> str:
     """Every entry of the settings: unit, limits, default, meaning, an example."""
-    examples = [yaml.safe_load(p.read_text("utf-8")) for p in sorted(CONFIG.glob("*.yaml"))]
+    examples = [yaml.safe_load(p.read_text("utf-8")) for p in sorted(FAKE.parent.glob("*.yaml"))]
     parts, section = [], ""
     for title, entry in all_settings():
         if title != section:
@@ -168,8 +166,9 @@ def _at(node: Any, keys: Sequence[str]) -> Any:
 
 def checks() -> str:
     """The checks of a diagnosis, of learning from many cables, and of a study's data."""
-    parts = ("## Of a diagnosis", diagnosis_checks(), "## Of learning from many cables")
-    return "\n\n".join((*parts, line_checks(), "## Of a study's data", data_checks()))
+    of_line = "\n".join(_table((*LEARNING, *GATES), LineRules()))
+    parts = ("## Of a diagnosis", diagnosis_checks(), "## Of learning from many cables", of_line)
+    return "\n\n".join((*parts, "## Of a study's data", data_checks()))
 
 
 def _table(table: Sequence[Check[Any]], rules: object) -> list[str]:
@@ -195,11 +194,6 @@ def diagnosis_checks() -> str:
     for code, (meaning, verdict) in MEANINGS.items():
         lines.append(f"| `{code}` | {meaning} | {f'`{verdict}`' if verdict else '–'} |")
     return "\n".join(lines)
-
-
-def line_checks() -> str:
-    """The checks of learning from many cables, and the gates of a candidate."""
-    return "\n".join(_table((*LEARNING, *GATES), LineRules()))
 
 
 def data_checks() -> str:
@@ -251,18 +245,15 @@ def _description(thing: Any) -> str:
         for key, member in inspect.getmembers_static(thing):
             read = {property: "fget", cached_property: "func"}.get(type(member), "")
             function = getattr(member, read) if read else member
-            if not key.startswith("_") and _is_of_this_project(function):
+            ours = inspect.isfunction(function) and function.__module__.startswith(OURS)
+            if ours and not key.startswith("_"):
                 sign = "" if read else _signature(key, function)
                 parts += [f"#### {name}.{key}", sign, _docstring(function)]
     return "\n\n".join(part for part in parts if part)
 
 
-def _is_of_this_project(function: Any) -> bool:
-    return inspect.isfunction(function) and function.__module__.startswith(("cell", "drivers"))
-
-
 def _signature(name: str, thing: Any) -> str:
-    if inspect.isclass(thing) and (issubclass(thing, (Enum, Section)) or _is_protocol(thing)):
+    if inspect.isclass(thing) and (issubclass(thing, (Enum, Section)) or is_protocol(thing)):
         return ""
     text = str(inspect.signature(thing)).replace("'", "")
     text = re.sub(r"<function (\w+) at \w+>", r"\1", text)
@@ -270,10 +261,6 @@ def _signature(name: str, thing: Any) -> str:
     if len(name) + len(text) > 80:
         text = re.sub(r"\((.*)\)( ->.*)?$", lambda m: _break_lines(m[1]) + (m[2] or ""), text)
     return f"```python\n{name}{text}\n```"
-
-
-def _is_protocol(thing: type) -> bool:
-    return getattr(thing, "_is_protocol", False)
 
 
 def _break_lines(parameters: str) -> str:

@@ -20,7 +20,6 @@ curvature, displaced and rotated marks, in twelve poses, filmed through a map wi
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -28,6 +27,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from calib.board import Board, BoardView
 from calib.camera import picture_grid
@@ -140,7 +140,7 @@ class Setup:
 
 def measured(seed: int) -> dict[str, float]:
     """Errors and stated bounds of one set-up's calibration: mm, degrees; and the peers' errors."""
-    initial_states = time.process_time()
+    begun_s = time.process_time()
     setup = Setup(seed)
     camera, views, _ = camera_from(setup.board_pictures(), BOARD)
     shown, held_out = setup.shown(POSES), setup.shown(HELD_OUT)
@@ -151,7 +151,8 @@ def measured(seed: int) -> dict[str, float]:
     grid = picture_grid(SIZE)
     off = np.linalg.norm(fit.view.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
     bound = CIRCLE_95 * fit.spread_m(grid)
-    row = {"seed": float(seed), "tilt_deg": tilt_deg(setup), "k1": setup.eye.distortion[0]}
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, abs(setup.eye.X_CP[2, 2])))))
+    row = {"seed": float(seed), "tilt_deg": tilt_deg, "k1": setup.eye.distortion[0]}
     row |= {"map_rms": 1e3 * rms(off), "map_max": 1e3 * float(off.max())}
     row |= {"map_95": 1e3 * float(bound.max()), "map_inside": float(np.mean(off <= bound))}
     row |= plane_errors(fit, setup)
@@ -160,7 +161,7 @@ def measured(seed: int) -> dict[str, float]:
         peer = opencv_view(views, shown, setup, method)
         away = np.linalg.norm(peer.to_plane(grid) - setup.view.to_plane(grid), axis=-1)
         row |= {f"{name}_rms": 1e3 * rms(away), f"{name}_max": 1e3 * float(np.nanmax(away))}
-    row["cpu_s"] = time.process_time() - initial_states
+    row["cpu_s"] = time.process_time() - begun_s
     return row
 
 
@@ -282,10 +283,6 @@ def opencv_view(
     return PlaneView.from_pose(lens, X_CP)
 
 
-def tilt_deg(setup: Setup) -> float:
-    return float(np.degrees(np.arccos(min(1.0, abs(setup.eye.X_CP[2, 2])))))
-
-
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
@@ -321,19 +318,13 @@ def main() -> None:
             print(f"{seed}: refused: {error}", flush=True)
             continue
         print(", ".join(f"{k} {v:.4g}" for k, v in rows[-1].items()), flush=True)
-        with options.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        pd.DataFrame(rows).to_csv(options.out, index=False, na_rep="nan")
     print(f"\n{len(rows)} of {options.setups} set-ups calibrated; error, mm, degrees or ms")
     if rows:
-        print("\n".join(summary({name: np.array([r[name] for r in rows]) for name in rows[0]},
-                                quantities)))  # fmt: skip
+        print("\n".join(summary(pd.DataFrame(rows), quantities)))
 
 
-def summary(
-    columns: dict[str, np.ndarray], quantities: tuple[tuple[str, str], ...]
-) -> Iterator[str]:
+def summary(columns: pd.DataFrame, quantities: tuple[tuple[str, str], ...]) -> Iterator[str]:
     """Lines of errors, and the share within their bounds; for a map also those of the peers."""
     for name, bound in quantities:
         off = columns[name]

@@ -22,21 +22,16 @@ from cell.lab.verdict.ties import with_ties
 from tools.studies.answers import StudyAnswer
 
 
-def check_values(examination: Examination) -> dict[str, float]:
-    """The statistic of every check that has one, for the final model of the search."""
-    evidence = _evidence(examination)
+def ended_at(examination: Examination) -> tuple[dict[str, float], str]:
+    """Statistics of the checks that have one, for the final model of the search, and its effects.
+
+    Effects are joined by "+", ties by "|".
+    """
+    evidence = with_ties(Evidence(examination.fits, examination.accepted))
     readings = {check.name: check.evaluate(evidence).reading for check in CHECKS}
-    return {name: float(r.value) for name, r in readings.items() if r is not None}
-
-
-def accepted_by(examination: Examination) -> str:
-    """Effects of the final model of the search, joined by "+" and ties by "|"."""
-    evidence = _evidence(examination)
-    return "+".join("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
-
-
-def _evidence(examination: Examination) -> Evidence:
-    return with_ties(Evidence(examination.fits, examination.accepted))
+    values = {name: float(r.value) for name, r in readings.items() if r is not None}
+    named = ("|".join((e.name, *evidence.tied.get(e.name, ()))) for e in evidence.added)
+    return values, "+".join(named)
 
 
 def verdict_of(

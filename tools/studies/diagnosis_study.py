@@ -97,11 +97,8 @@ def _diagnose(case: Case, there: MadeStudy, checks: bool) -> StudyAnswer:
     )
     if not checks:
         return row
-    return replace(
-        row,
-        statistics=json.dumps(check_ablation.check_values(examination)),
-        accepted=check_ablation.accepted_by(examination),
-    )
+    values, accepted = check_ablation.ended_at(examination)
+    return replace(row, statistics=json.dumps(values), accepted=accepted)
 
 
 def _values(effects: Sequence[MissingEffect]) -> dict[str, float]:
@@ -120,18 +117,16 @@ def _short(error: Exception, folder: Path | str = "") -> str:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """All studies that the options request, in order."""
-    listed = []
-    for kind, count in options.made:
-        seeds = range(options.first, options.first + count)
-        listed += [Case("made", kind, str(seed)) for seed in seeds]
+    listed: list[Case] = []
     changed = {n: v for n in CHANGED if (v := getattr(options, n)) is not None}
-    for kind, count in options.breadth:
-        numbers = range(count)
-        listed += [Case("breadth", kind, str(n), options.seed, count, changed) for n in numbers]
-    for source, counts_of in (("rigs", options.rigs), ("mujoco", options.mujoco)):
-        for kind, count in counts_of:
-            seeds = range(options.first, options.first + count)
-            listed += [Case(source, kind, str(seed)) for seed in seeds]
+    for source in ("made", "breadth", "rigs", "mujoco"):
+        for kind, count in getattr(options, source):
+            if source == "breadth":
+                of_all = (options.seed, count, changed)
+                listed += [Case(source, kind, str(n), *of_all) for n in range(count)]
+            else:
+                seeds = range(options.first, options.first + count)
+                listed += [Case(source, kind, str(seed)) for seed in seeds]
     if options.practice is not None:
         truth = json.loads((SHARED / "practice" / "truth.json").read_text(encoding="utf-8"))
         listed += [Case("practice", "all", name) for name in options.practice or truth]

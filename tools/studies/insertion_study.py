@@ -27,6 +27,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from cell.cable.effects.library import library
@@ -35,8 +36,9 @@ from cell.plan.choose import Freedom
 from cell.settings import Settings, load_settings
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
+from tools.shipped_settings import FAKE
 from tools.studies.rows import added_rows
-from tools.worlds.fast_cell import CONFIG, fast_cycle, typical, with_opening, with_world
+from tools.worlds.fast_cell import fast_cycle, typical, with_opening, with_world
 from tools.worlds.fast_flight import Flown
 from tools.worlds.fast_truth import true_hold
 from tools.worlds.outside_laws import Puff
@@ -149,24 +151,18 @@ def table(rows: list[InsertedCable]) -> str:
         f"{'world':22}{'± mm':>6} {'way':11}{'inserted':>14}{'95 %':>12}{'missed':>7}"
         f"{'stated':>8}{'passed':>8}{'miss rms':>9}{'error rms':>10}{'saved s':>8}"
     ]
-    for world, half_mm, way in dict.fromkeys((r.world, r.half_mm, r.way) for r in rows):
-        those = [r for r in rows if (r.world, r.half_mm, r.way) == (world, half_mm, way)]
-        count = Counter(r.outcome for r in those)
+    by_way = pd.DataFrame(rows).groupby(["world", "half_mm", "way"], sort=False)
+    for (world, half_mm, way), those in by_way:
+        count = Counter(those["outcome"])
         sure = stats.binomtest(count["inserted"], len(those)).proportion_ci()
-        done = [r for r in those if r.outcome != "rejected"]
-        stated, passed = (
-            100.0 * float(np.mean(v or [np.nan]))
-            for v in ([r.probability for r in done], [r.true_margin_mm > 0.0 for r in done])
-        )
-        miss, error = (
-            float(np.sqrt(np.mean(np.square(v or [np.nan]))))
-            for v in ([r.miss_mm for r in done], [r.error_mm for r in done])
-        )
+        done = those[those["outcome"] != "rejected"]
+        passed = done["true_margin_mm"] > 0.0
+        miss, error = np.sqrt((done[["miss_mm", "error_mm"]] ** 2).mean())
         lines.append(
             f"{world:22}{half_mm:>6g} {way:11}{count['inserted']:>5} of {len(those):<5}"
             f"{sure.low:>6.0%}–{sure.high:<5.0%}{count['missed'] + count['stopped']:>7}"
-            f"{stated:>7.1f}%{passed:>7.1f}%{miss:>9.2f}{error:>10.3f}"
-            f"{np.mean([r.saved_s for r in those]):>8.2f}"
+            f"{100.0 * done['probability'].mean():>7.1f}%{100.0 * passed.mean():>7.1f}%"
+            f"{miss:>9.2f}{error:>10.3f}{those['saved_s'].mean():>8.2f}"
         )
     return "\n".join(lines)
 
@@ -176,7 +172,7 @@ def main() -> int:
     parser.add_argument("file", type=Path, help="CSV file to write")
     parser.add_argument("--cables", type=int, default=20)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--config", type=Path, default=CONFIG)
+    parser.add_argument("--config", type=Path, default=FAKE)
     parser.add_argument("--half-mm", type=float, nargs="+", default=[5.0, 2.0, 1.0])
     worlds = (*EVENTS, *EFFECTS)
     parser.add_argument("--worlds", nargs="+", choices=worlds, default=["complete"])

@@ -26,7 +26,7 @@ from cell.lab.data.named_effects import EffectSelection
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.strength.estimate import estimate
-from tools.worlds.known_truth import ONE_CLASS
+from tools.worlds.known_truth import class_of
 from tools.worlds.made_studies import CABLE, hidden, make_study, random_model
 
 #: Parameters of effects other than amplitudes are counted separately.
@@ -39,7 +39,7 @@ def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableMo
     names = sorted(known)
     rng = np.random.default_rng([seed, 7])
     present = known[names[seed % len(names)]]
-    others = [n for n in names if n != present.name and not {n, present.name} <= ONE_CLASS]
+    others = [n for n in names if n not in class_of([present.name])]
     lacking = known[rng.choice(others)]
     there = [hidden(present, float(rng.uniform(0.5, 1.5)))]
     if size > 0.0:
@@ -48,8 +48,7 @@ def drawn(seed: int, size: float, unknown: bool) -> tuple[str, FitCache, CableMo
     again = np.random.default_rng(seed)
     again.uniform(size=2)  # `make_study` has drawn the noise's level and colour from it
     truth = random_model(again, CABLE, there)
-    out = {lacking.name} if unknown else set()
-    out |= ONE_CLASS if out & ONE_CLASS else set()
+    out = class_of([lacking.name] if unknown else [])
     offered: dict[str, type[Effect]] = {n: e for n, e in known.items() if n not in out}
     fits = fit_cache_of(study, EffectSelection((present,), offered))
     return " without ".join(a.effect.name for a in there), fits, truth

@@ -30,12 +30,11 @@ from cell.identify.individual import identify
 from cell.records.folder import read_record
 from cell.settings import load_settings
 from cell.wiring.build import cell_task
+from tools.shipped_settings import FAKE, with_entries
 from tools.worlds.fast_cell import typical
 
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
-#: Height of an opening that requires good forecasts.
-OPENING = ("y_m: [-0.111, -0.101]", "y_m: [-0.1085, -0.1035]")
-OFFSETS = ("step_m: 0.002", "step_m: 0.001")
+#: An opening whose height requires good forecasts.
+NARROW = {"destination.y_m": [-0.1085, -0.1035], "motion.offsets.step_m": 0.001}
 #: Initial estimates of the times of a cable's cycle, its part in learning, and promoting, s;
 #: measured times correct them.
 CYCLE_S, LEARNING_S, PROMOTING_S = 6.0, 15.0, 2.0
@@ -112,17 +111,6 @@ class Commands:
         code = subprocess.run(command, check=False, stdout=self.log, stderr=self.log).returncode
         self.taken_s.append(self.clock() - begun_s)
         return code
-
-
-def config_in(folder: Path, effect: str, size: float) -> Path:
-    text = CONFIG.read_text(encoding="utf-8")
-    hidden = json.dumps({effect: typical(library()[effect], size)})
-    for old, new in (OPENING, OFFSETS, ("effects: {}  ", f"effects: {hidden}  ")):
-        assert old in text, old
-        text = text.replace(old, new)
-    path = folder / "cell.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def draw(before: CyclesOfModel, after: CyclesOfModel, effect: str, path: Path) -> None:
@@ -202,9 +190,10 @@ def main() -> int:
     folder = options.out or Path(tempfile.mkdtemp(prefix="cell-learn-"))
     folder.mkdir(parents=True, exist_ok=True)
     effect = options.effect or secrets.choice(DRAWN_FROM)
-    config = config_in(folder, effect, options.size)
-    old = folder / "before.yaml"
-    old.write_bytes(config.read_bytes())
+    config, old = folder / "cell.yaml", folder / "before.yaml"
+    hidden = {effect: typical(library()[effect], options.size)}
+    for path in (config, old):
+        path.write_text(with_entries(FAKE, {**NARROW, "world.effects": hidden}), encoding="utf-8")
     again = ("--cycles", options.cables, "--seed", options.seed)
     cycles_s = options.cables * CYCLE_S
     commands = Commands((cycles_s, options.cables * LEARNING_S, PROMOTING_S, cycles_s))

@@ -18,8 +18,7 @@ import argparse
 import json
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -46,9 +45,9 @@ from cell.study.data import Study
 from cell.wiring.build import cell_task
 from cell.wiring.twins import hidden_cable
 from tools.processes import own_cpu_s
+from tools.shipped_settings import FAKE, with_entries
 from tools.studies.learn import CYCLE_S, LEARNING_S, PROMOTING_S, Commands, learned_from
 from tools.worlds.fast_cell import (
-    CONFIG,
     INSERTABLE_M,
     FastCycle,
     best_margin_m,
@@ -124,19 +123,16 @@ class Cables:
     inserted: int
     missed: int
     error_m: float
-    wait_cpu_s: float
 
     @staticmethod
-    def of(cycles: Sequence[FastCycle], cpu_s: float) -> Cables:
-        could = [c for c in cycles if c.best_margin_m > INSERTABLE_M]
-        known = [c.true_tip_error_m for c in cycles if np.isfinite(c.true_tip_error_m)]
-        return Cables(
-            len(could),
-            sum(c.outcome == "inserted" for c in could),
-            sum(c.outcome == "missed" for c in cycles),
-            float(np.sqrt(np.mean(np.square(known)))) if known else float("inf"),
-            cpu_s / len(cycles),
-        )
+    def of(
+        outcomes: Sequence[str], margins_m: Sequence[float], errors_m: Iterable[float | None]
+    ) -> Cables:
+        """From the outcome of each cable, its best margin, and its error, if it has one."""
+        could = [o for o, m in zip(outcomes, margins_m, strict=True) if m > INSERTABLE_M]
+        known = [e for e in errors_m if e is not None and np.isfinite(e)]
+        error_m = float(np.sqrt(np.mean(np.square(known)))) if known else float("inf")
+        return Cables(len(could), could.count("inserted"), outcomes.count("missed"), error_m)
 
     def line(self) -> str:
         """Inserted cables of those that a perfect model could insert, and the error."""
@@ -144,35 +140,30 @@ class Cables:
 
 
 def world(
-    settings: Settings,
-    task: Task,
-    effect: str,
-    size: float,
-    cables: int,
-    seed: int,
-    laws: bool = False,
+    settings: Settings, effect: str, size: float, cables: int, seed: int, laws: bool = False
 ) -> LearnedWorld:
     """Run one world from the first cable to the last."""
     parts = [] if effect == "none" else effect.split("+")
-    known = LAWS | library()
+    known, task = LAWS | library(), cell_task(settings)
     there = tuple(known[name].active(**typical(known[name], size)) for name in parts)
     first, later = range(1, cables + 1), range(cables + 1, 2 * cables + 1)
-    begun_s = time.process_time()
     cycles = cycles_of(settings, task, seed, first, there)
-    initial = Cables.of(cycles, time.process_time() - begun_s)
     recorded = [recorded_cycle(task, k, c) for k, c in zip(first, cycles, strict=True)]
     begun_s = own_cpu_s()
     result, requested = _learn(settings, task, recorded, seed, there, laws)
     result, judgement = best_judged(result, settings)
     spent_s = own_cpu_s() - begun_s
-    after, before, complete = None, initial, initial
+    before = complete = _counted(cycles)
+    after = None
     promoted = result.best is not None and judgement.fit_for_line
     if parts or promoted:
-        complete = _complete(seed, cables, lambda: run(settings, task, seed, later, ()))
-        before = run(settings, task, seed, later, there) if parts else complete
+        complete = _complete(
+            seed, cables, lambda: _counted(cycles_of(settings, task, seed, later, ()))
+        )
+        before = _counted(cycles_of(settings, task, seed, later, there)) if parts else complete
     if promoted:
         new = settings.model_copy(update={"model": section(result, settings.model)})
-        after = run(new, cell_task(new), seed, later, there)
+        after = _counted(cycles_of(new, cell_task(new), seed, later, there))
     return LearnedWorld(
         effect,
         size,
@@ -190,6 +181,14 @@ def world(
     )
 
 
+def _counted(cycles: Sequence[FastCycle]) -> Cables:
+    return Cables.of(
+        [c.outcome for c in cycles],
+        [c.best_margin_m for c in cycles],
+        [c.true_tip_error_m for c in cycles],
+    )
+
+
 def _learn(
     settings: Settings,
     task: Task,
@@ -199,7 +198,7 @@ def _learn(
     laws: bool,
 ) -> tuple[LearningResult, int]:
     """Result of learning from these cables and those measured because of ties, and their number."""
-    surroundings, tried = Surroundings.read(CONFIG), library()
+    surroundings, tried = Surroundings.read(FAKE), library()
     if laws or any(a.effect.name in LAWS for a in there):
         tried |= laws_in(
             Path(tempfile.mkdtemp(prefix="laws-")), [c.study for c in recorded]
@@ -275,19 +274,6 @@ def cycles_of(
     ]
 
 
-def run(
-    settings: Settings,
-    task: Task,
-    seed: int,
-    numbers: Iterable[int],
-    there: Sequence[ActiveEffect],
-) -> Cables:
-    """Run the cycles of cables, and count their outcomes."""
-    begun_s = time.process_time()
-    cycles = cycles_of(settings, task, seed, numbers, there)
-    return Cables.of(cycles, time.process_time() - begun_s)
-
-
 # --- with rendered pictures, by commands ----------------------------------------------------------
 
 
@@ -297,7 +283,12 @@ def world_of_pictures(
     """Run one world from the first cable to the last; the commands' output goes to a log."""
     folder.mkdir()
     parts = [] if effect == "none" else effect.split("+")
-    config = _config(folder, "cell", {name: typical(library()[name], size) for name in parts})
+    config, plain = folder / "cell.yaml", folder / "complete.yaml"
+    hidden = {name: typical(library()[name], size) for name in parts}
+    for path, effects in ((config, hidden), (plain, {})):
+        # films of all worlds are 40 GB, and nothing here needs them
+        text = with_entries(FAKE, {"world.effects": effects, "recording": None})
+        path.write_text(text, encoding="utf-8")
     with (folder / "log.txt").open("w") as log:
         usual_s = (cables * CYCLE_S, cables * LEARNING_S, PROMOTING_S, cables * CYCLE_S)
         commands = Commands(usual_s, log=log)
@@ -309,12 +300,11 @@ def world_of_pictures(
         promoted = code == 0 and bool(candidate)
         if promoted:
             commands.run("promote", file, "--config", config)
-
-        def without_effect() -> Cables:
-            plain = _config(folder, "complete", {})
-            return _run_cell(commands, plain, folder / "complete", seed + 1, cables)
-
-        complete = _complete(seed, cables, without_effect)
+        complete = _complete(
+            seed,
+            cables,
+            lambda: _run_cell(commands, plain, folder / "complete", seed + 1, cables),
+        )
         after = None
         if promoted:
             after = _run_cell(commands, config, folder / "after", seed + 1, cables)
@@ -334,31 +324,16 @@ def world_of_pictures(
     )
 
 
-def _config(folder: Path, name: str, hidden: Mapping[str, Mapping[str, float]]) -> Path:
-    text, empty = CONFIG.read_text("utf-8"), "effects: {}  "
-    assert empty in text
-    text = f"recording: null  # films of all worlds are 40 GB, and nothing here needs them\n{text}"
-    path = folder / f"{name}.yaml"
-    path.write_text(text.replace(empty, f"effects: {json.dumps(hidden)}  "), "utf-8")
-    return path
-
-
 def _run_cell(commands: Commands, config: Path, out: Path, seed: int, cables: int) -> Cables:
     """Outcome of the cables of a seed; forecast errors as the cell measures them."""
-    begun_s = own_cpu_s()
     words = ("--config", config, "--cycles", cables, "--seed", seed, "--out", out)
     commands.also_run(cables * CYCLE_S, "run", *words)
-    spent_s = own_cpu_s() - begun_s
     results = [json.loads(f.read_text("utf-8")) for f in sorted(out.glob("*/result.json"))]
     settings = load_settings(config)
-    could = [r for r in results if best_margin_m(settings, seed, r["cycle"]) > INSERTABLE_M]
-    errors = [r["prediction_error_m"] for r in results if r["prediction_error_m"] is not None]
-    return Cables(
-        len(could),
-        sum(r["outcome"] == "inserted" for r in could),
-        sum(r["outcome"] == "missed" for r in results),
-        float(np.sqrt(np.mean(np.square(errors)))) if errors else float("inf"),
-        spent_s / cables,
+    return Cables.of(
+        [r["outcome"] for r in results],
+        [best_margin_m(settings, seed, r["cycle"]) for r in results],
+        [r["prediction_error_m"] for r in results],
     )
 
 
@@ -371,18 +346,13 @@ def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
     shown = [w for w in hidden if w.shift_m > SHIFT_M]
     named = [w for w in shown if w.promoted and set(w.effect.split("+")) <= {*w.named, *w.tied}]
     right = [w for w in named if set(w.named) == set(w.effect.split("+"))]
-    after = [w for w in hidden if w.after is not None]
-    good = [
-        w
-        for w in after
-        if w.after
-        and (
-            w.after.error_m <= 1.3 * w.complete.error_m or w.after.error_m <= 0.2 * w.before.error_m
-        )
-    ]
-    worse = [w for w in after if w.after and w.after.error_m > w.before.error_m + 1e-5]
-    could = sum(w.after.insertable for w in after if w.after)
-    done = sum(w.after.inserted for w in after if w.after)
+    after = [(w.after, w.before, w.complete) for w in hidden if w.after is not None]
+    good = sum(
+        a.error_m <= 1.3 * complete.error_m or a.error_m <= 0.2 * b.error_m
+        for a, b, complete in after
+    )
+    worse = sum(a.error_m > b.error_m + 1e-5 for a, b, _ in after)
+    could, done = sum(a.insertable for a, *_ in after), sum(a.inserted for a, *_ in after)
     empty = [w for w in worlds if w.effect == "none"]
     outside = [w for w in worlds if w.effect in LAWS]
     pairs = [w for w in hidden if "+" in w.effect]
@@ -390,7 +360,7 @@ def summary(worlds: Sequence[LearnedWorld]) -> list[str]:
         f"shift above 0.3 mm: {len(shown)} of {len(hidden)} worlds; right class promoted in "
         f"{len(right)} of them, named or tied in {len(named)}",
         f"promoted: {len(after)}; error after ≤ 1.3 × a complete world's or ≥ 5 × lower in "
-        f"{len(good)}; worse than before in {len(worse)}; inserted {done} of {could}",
+        f"{good}; worse than before in {worse}; inserted {done} of {could}",
         _three_times_lower("pairs", pairs),
         _three_times_lower("outside the library", outside),
         f"complete worlds: {len(empty)}; promoted in {sum(w.promoted for w in empty)}",
@@ -420,8 +390,8 @@ def main() -> None:
     options = parser.parse_args()
     sizes = options.sizes or ([1.0] if options.pictures else [0.5, 1.0, 2.0])
     first = (2200 if options.pictures else 300) if options.seed is None else options.seed
-    settings, folder = load_settings(CONFIG), Path(tempfile.mkdtemp(prefix="loop-study-"))
-    task, worlds = cell_task(settings), []
+    settings, folder = load_settings(FAKE), Path(tempfile.mkdtemp(prefix="loop-study-"))
+    worlds = []
     several = {"outside": tuple(n for n in LAWS if n not in LATER), "later": LATER}
     effects = [f for e in options.effects for f in several.get(e, (e,))]
     each = [(e, s) for e in effects for s in (sizes if e != "none" else [0.0])]
@@ -430,7 +400,7 @@ def main() -> None:
         if options.pictures:
             worlds.append(world_of_pictures(folder / f"{effect}-{size:g}-{seed}", *among))
         else:
-            worlds.append(world(settings, task, *among, options.laws))
+            worlds.append(world(settings, *among, options.laws))
         print(f"{worlds[-1].line()}, all {own_cpu_s() - begun_s:.0f} s", flush=True)
         if options.json:
             options.json.write_text(json.dumps([asdict(w) for w in worlds], indent=1))

@@ -14,13 +14,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scipy.stats import binomtest
 
-from cell.cable.solver import one_core
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.effect_query import effect_queries
@@ -132,15 +130,13 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--copies", type=int, default=10)
     parser.add_argument("--case", type=int, nargs="*", default=range(len(CASES)))
-    parser.add_argument("--alone", action="store_true", help="one core")
     options = parser.parse_args()
     rows = {row.case: row for row in read_rows(options.file, PowerCase)}
-    with one_core() if options.alone else nullcontext():
-        for case in [*options.case] * options.rounds:
-            rows[case] = updated_case(case, rows.get(case), options.copies)
-            options.file.unlink(missing_ok=True)
-            list(added_rows(options.file, PowerCase, (rows[k] for k in sorted(rows))))
-            print(rows[case].words, flush=True)
+    for case in [*options.case] * options.rounds:
+        rows[case] = updated_case(case, rows.get(case), options.copies)
+        options.file.unlink(missing_ok=True)
+        list(added_rows(options.file, PowerCase, (rows[k] for k in sorted(rows))))
+        print(rows[case].words, flush=True)
     count = sum(r.copies for r in rows.values())
     expected = sum(r.forecast * r.copies for r in rows.values()) / max(count, 1)
     detections = sum(r.found for r in rows.values()) / max(count, 1)

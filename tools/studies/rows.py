@@ -5,45 +5,37 @@ from __future__ import annotations
 import csv
 import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import Field, asdict, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
+
+from pydantic import TypeAdapter
 
 RowT = TypeVar("RowT")
-_KINDS = {"int": int, "float": float, "str": str}
 
 
 def read_rows(file: Path, kind: type[RowT]) -> list[RowT]:
-    """Rows of a file, whose fields are numbers and text; empty without a file."""
+    """Rows of a file, empty without one; a field that it lacks came later, and has a default."""
     if not file.exists():
         return []
     with file.open(newline="", encoding="utf-8") as lines:
-        return [
-            kind(
-                **{
-                    f.name: _KINDS[str(f.type)](line[f.name])
-                    for f in _fields(kind)
-                    if f.name in line  # one that is not there came later, and has a default
-                }
-            )
-            for line in csv.DictReader(lines)
-        ]
+        return TypeAdapter(list[kind]).validate_python(list(csv.DictReader(lines)))
 
 
 def added_rows(file: Path, kind: type[RowT], rows: Iterable[RowT]) -> Iterator[RowT]:
     """Yield the rows, each appended to a file at once."""
     with file.open("a", newline="", encoding="utf-8") as out:
-        writer = csv.DictWriter(out, [f.name for f in _fields(kind)], lineterminator="\n")
+        writer = csv.DictWriter(out, [f.name for f in fields(kind)], lineterminator="\n")
         if out.tell() == 0:
             writer.writeheader()
         for row in rows:
-            writer.writerow(asdict(row))  # type: ignore[call-overload]
+            writer.writerow(asdict(row))
             out.flush()
             yield row
 
 
-def write_measured(file: Path, rows: Sequence[dict[str, object]], command: str) -> None:
+def write_measured(file: Path, rows: Sequence[Mapping[str, object]], command: str) -> None:
     """Write a file of measured results: rows with their origin, as in docs/measured."""
     origin = {
         "measured_on": time.strftime("%Y-%m-%d"), "machine": f"{os.cpu_count()} cores",
@@ -53,7 +45,3 @@ def write_measured(file: Path, rows: Sequence[dict[str, object]], command: str) 
         writer = csv.DictWriter(out, [*rows[0], *origin], lineterminator="\n")
         writer.writeheader()
         writer.writerows({**row, **origin} for row in rows)
-
-
-def _fields(kind: Any) -> tuple[Field[Any], ...]:
-    return fields(kind)

@@ -146,14 +146,9 @@ class World:
 
     def clean(self, effects: Sequence[ActiveEffect] = ()) -> list[np.ndarray]:
         """Per trial (times, markers, 2) without noise, m."""
-        model = replace(self.model, effects=tuple(effects))
-        slower, out = like(model.cable, "s"), []
+        out = []
         for hand, t_s in zip(self.hands, self.times_s, strict=True):
-            coarse, fine = (
-                simulate(model, hand, t_s, self.arc_length_m,
-                         solver=replace(s, step_s=min(s.step_s * slower, 1e-3)))[0]
-                for s in (COARSE, FINE)
-            )  # fmt: skip
+            coarse, fine = (self._simulated(effects, hand, t_s, s, 1e-3) for s in (COARSE, FINE))
             out.append(fine + (fine - coarse) / 3.0)
         return out
 
@@ -162,15 +157,22 @@ class World:
 
         An upper bound: the remaining error falls with the fourth power.
         """
-        model, slower = replace(self.model, effects=tuple(effects)), like(self.model.cable, "s")
-        hand, t_s = self.hands[0], self.times_s[0]
-        halves = (Solver(48, 8e-4), COARSE, FINE)
-        a, b, c = (
-            simulate(model, hand, t_s, self.arc_length_m,
-                     solver=replace(s, step_s=min(s.step_s * slower, 2e-3)))[0]
-            for s in halves
-        )  # fmt: skip
+        hand, t_s, halves = self.hands[0], self.times_s[0], (Solver(48, 8e-4), COARSE, FINE)
+        a, b, c = (self._simulated(effects, hand, t_s, s, 2e-3) for s in halves)
         return float(np.sqrt(np.mean(((c + (c - b) / 3.0) - (b + (b - a) / 3.0)) ** 2)) / 15.0)
+
+    def _simulated(
+        self,
+        effects: Sequence[ActiveEffect],
+        hand: Motion,
+        t_s: np.ndarray,
+        solver: Solver,
+        longest_s: float,
+    ) -> np.ndarray:
+        """(times, markers, 2) on a mesh; its step is that for `CABLE`, up to the longest."""
+        model = replace(self.model, effects=tuple(effects))
+        solver = replace(solver, step_s=min(solver.step_s * like(model.cable, "s"), longest_s))
+        return simulate(model, hand, t_s, self.arc_length_m, solver=solver)[0]
 
     def study(self, clean: Sequence[np.ndarray], seed: int, *, quiet: bool = False) -> Study:
         """The study with noise; `quiet`: without errors of measurement."""

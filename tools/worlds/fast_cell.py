@@ -7,7 +7,6 @@ finer than the model, and its noise is that of vision.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -35,10 +34,9 @@ from tools.worlds.fast_truth import (
     RATE_HZ,
     Bias,
     Errors,
+    Observer,
     filmed_of,
     moved_until,
-    observed_execution,
-    observed_hold,
     true_hold,
     truths,
     until,
@@ -48,7 +46,6 @@ from tools.worlds.made_studies import WORLD, logged
 #: Least margin of the best offset, m, for a cable to count as insertable by a perfect model: three
 #: times the repeatability of arm and camera.
 INSERTABLE_M = 3e-4
-CONFIG = Path(__file__).parents[2] / "config" / "fake.yaml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +129,8 @@ def fast_cycle(
     down = true_hold(task, lag_s)
     t_s = np.arange(0.001, float(down.t_s[-1]), 1.0 / frame_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
-    hand = logged(rng, down, errors.log_m)
-    held = observed_hold(task, hidden, down, t_s, hand, bias, errors, rng)
+    observer = Observer(task, hidden, bias, errors, rng)
+    held = observer.hold(down, t_s, logged(rng, down, errors.log_m))
     end_s = _end_of_hold_s(task, timing, held)
     held, down = until(held, end_s), moved_until(down, end_s)
     start_s, filmed = end_s + task.decide_s, filmed_of(held)
@@ -169,11 +166,11 @@ def fast_cycle(
     if reason is not None:
         return cycle
     executing = Executing.of(task, timing, filmed, held, start_s)
-    view = View(task, timing, hidden, down, start_s, bias, errors, identified, executing)
     motion = truth.motions[index]
     if flown is not None:
-        cycle, motion = _flown(cycle, view, flown, at_s, rng)
-    executed = observed_execution(task, hidden, motion, start_s, held, bias, errors, rng)
+        view = View(observer, timing, down, start_s, identified, executing)
+        cycle, motion = _flown(cycle, view, flown, at_s)
+    executed = observer.execution(motion, start_s, held)
     passage = measured_passage(
         task.destination,
         executed.markers.t_s,
@@ -204,10 +201,11 @@ def _in_truth(
 
 
 def _flown(
-    cycle: FastCycle, view: View, flown: Flown, at_s: FloatArray, rng: np.random.Generator
+    cycle: FastCycle, view: View, flown: Flown, at_s: FloatArray
 ) -> tuple[FastCycle, Motion]:
     """The cycle with its flight, and the gripper's true motion."""
-    task, coming, identified = view.task, cycle.candidates, cycle.identified
+    observer, coming, identified = view.observer, cycle.candidates, cycle.identified
+    task = observer.task
     assert coming is not None and identified is not None and cycle.choice is not None
     path = coming.paths[cycle.choice.table.index(cycle.choice.best)]
     executing = view.executing
@@ -225,9 +223,11 @@ def _flown(
         view.timing.arm_lag_s,
         task.choice.repeatability_m,
     )
-    done = inserted(view, path, flight, flown, rng)
+    done = inserted(view, path, flight, flown)
     at_tip = np.array([task.cable.free_length_m])
-    tip_m = simulate(view.hidden, done.motion, view.start_s + at_s, at_tip, solver=WORLD)[0, :, 0]
+    tip_m = simulate(observer.hidden, done.motion, view.start_s + at_s, at_tip, solver=WORLD)[
+        0, :, 0
+    ]
     cycle = _in_truth(cycle, task, at_s, tip_m, ahead.t_s, done.tip_m)
     cycle = replace(cycle, tails=done.tails, stopped=done.stopped)
     return cycle, done.motion
@@ -284,6 +284,6 @@ def fast_measured(
     rng = np.random.default_rng([seed, number, 2])
     t_s = np.arange(0.001, float(motion.t_s[-1]), 1.0 / settings.camera.frame_rate_hz)
     bias = Bias.drawn(rng, errors, len(task.arc_length_m))
-    hand = logged(rng, motion, errors.log_m)
-    trial = observed_hold(task, hidden, motion, t_s, hand, bias, errors, rng)
+    observer = Observer(task, hidden, bias, errors, rng)
+    trial = observer.hold(motion, t_s, logged(rng, motion, errors.log_m))
     return replace(trial, name="stroke")

@@ -7,17 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.dynamics import simulate
 from cell.cable.geometry import Motion
-from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.plan.correction import Flight, Tail, decisions_s
 from cell.plan.response import expected_nodes
 from cell.run.candidates import Executing
-from cell.run.station import Task, Timing
+from cell.run.station import Timing
 from drivers.interfaces import Trajectory
-from tools.worlds.fast_truth import Bias, Errors, full_motion, pictured
-from tools.worlds.made_studies import WORLD
+from tools.worlds.fast_truth import Observer, full_motion
 
 
 @dataclass(frozen=True)
@@ -44,24 +41,22 @@ class Flown:
 class View:
     """Measurements of the camera of a hidden cable in flight."""
 
-    task: Task
+    observer: Observer
     timing: Timing
-    hidden: CableModel
     down: Motion
     start_s: float
-    bias: Bias
-    errors: Errors
     identified: Identified
     executing: Executing
 
     def expected_nodes(self, path: Trajectory, t_s: FloatArray) -> FloatArray:
         """Predicted nodes for a path, as the cell simulates it in flight."""
         at_s, motion = self.executing.begin_s + t_s, self.executing.motion(path)
-        return expected_nodes(self.identified, motion, at_s, self.task.arc_length_m)
+        return expected_nodes(self.identified, motion, at_s, self.observer.task.arc_length_m)
 
     def motion(self, path: Trajectory, flown: Flown) -> Motion:
         """The gripper's true motion, including the hold."""
-        motion = full_motion(self.task, self.down, path, self.start_s, self.timing.arm_lag_s)
+        task, lag_s = self.observer.task, self.timing.arm_lag_s
+        motion = full_motion(task, self.down, path, self.start_s, lag_s)
         if flown.knock is None:
             return motion
         at_s, right_m, up_m = flown.knock
@@ -69,14 +64,10 @@ class View:
         knocked = u * u * (3.0 - 2.0 * u)
         return replace(motion, x_m=motion.x_m + right_m * knocked, y_m=motion.y_m + up_m * knocked)
 
-    def nodes_m(
-        self, motion: Motion, t_s: FloatArray, flown: Flown, rng: np.random.Generator
-    ) -> FloatArray:
+    def nodes_m(self, motion: Motion, t_s: FloatArray, flown: Flown) -> FloatArray:
         """(frames, nodes, 2) as observed, from the gripper's command to move on."""
-        at_s = self.start_s + t_s - flown.latency_s
-        nodes = simulate(self.hidden, motion, at_s, self.task.arc_length_m, solver=WORLD)[0]
-        observed_m = pictured(nodes, self.bias, self.errors, rng)
-        observed_m[rng.random(len(observed_m)) < flown.lost] = np.nan
+        observed_m = self.observer.nodes_m(motion, self.start_s + t_s - flown.latency_s)
+        observed_m[self.observer.rng.random(len(observed_m)) < flown.lost] = np.nan
         return observed_m
 
 
@@ -96,16 +87,14 @@ class Inserted:
     stopped: bool = False
 
 
-def inserted(
-    view: View, path: Trajectory, flight: Flight, flown: Flown, rng: np.random.Generator
-) -> Inserted:
+def inserted(view: View, path: Trajectory, flight: Flight, flown: Flown) -> Inserted:
     """Simulate an insertion with corrections decided as by `Corrector`."""
     done = Inserted(view.motion(path, flown), (), flight.response.nodes_m[:, 0])
     pending = list(decisions_s(flight.response, flight.destination)) if flown.feedback else []
     while pending:
         decide_s = pending.pop(0)
         t_s = np.arange(0.001, decide_s - flown.late_s, 0.005)
-        observed_m = view.nodes_m(done.motion, t_s, flown, rng)
+        observed_m = view.nodes_m(done.motion, t_s, flown)
         decision = flight.decide(t_s, observed_m, decide_s + flown.dead_s)
         if decision.tail is not None:
             path = decision.tail.of(path)

@@ -138,21 +138,6 @@ def pictured(nodes: FloatArray, bias: Bias, errors: Errors, rng: np.random.Gener
     return np.asarray(shifted + errors.node_m * coloured(rng, nodes.shape, errors.colour))
 
 
-def observed_hold(
-    task: Task,
-    hidden: CableModel,
-    motion: Motion,
-    t_s: FloatArray,
-    hand: Motion,
-    bias: Bias,
-    errors: Errors,
-    rng: np.random.Generator,
-) -> Trial:
-    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
-    observed_m = pictured(nodes, bias, errors, rng)
-    return hold_trial(hand, t_s, observed_m, *observed_gripper(motion, t_s, errors, rng))
-
-
 def observed_gripper(
     motion: Motion, t_s: FloatArray, errors: Errors, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
@@ -162,25 +147,36 @@ def observed_gripper(
     return grip_m, errors.angle_rad * rng.normal(size=len(t_s))
 
 
-def observed_execution(
-    task: Task,
-    hidden: CableModel,
-    motion: Motion,
-    start_s: float,
-    held: Trial,
-    bias: Bias,
-    errors: Errors,
-    rng: np.random.Generator,
-) -> Trial:
-    """Trial of an execution, as `cell.run.trials.executed_trial` makes it."""
-    period_s = float(np.median(np.diff(held.markers.t_s)))
-    t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
-    nodes = simulate(hidden, motion, t_s, task.arc_length_m, solver=WORLD)[0]
-    log = logged(rng, motion, errors.log_m)
-    later = log.t_s > held.grip.t_s[-1]
-    shift = [getattr(held.grip, n)[0] - getattr(motion, n)[0] for n in ("x_m", "y_m", "angle_rad")]
-    grip = [np.concatenate([held.grip.t_s, log.t_s[later]])]
-    for name, by in zip(("x_m", "y_m", "angle_rad"), shift, strict=True):
-        grip.append(np.concatenate([getattr(held.grip, name), getattr(log, name)[later] + by]))
-    markers = Markers(t_s, pictured(nodes, bias, errors, rng))
-    return Trial("execute", "validate", "equilibrium", Motion(*grip), markers)
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """The camera's measurements of a hidden cable; `bias` is that of all its pictures."""
+
+    task: Task
+    hidden: CableModel
+    bias: Bias
+    errors: Errors
+    rng: np.random.Generator
+
+    def nodes_m(self, motion: Motion, t_s: FloatArray) -> FloatArray:
+        """(frames, nodes, 2)."""
+        nodes = simulate(self.hidden, motion, t_s, self.task.arc_length_m, solver=WORLD)[0]
+        return pictured(nodes, self.bias, self.errors, self.rng)
+
+    def hold(self, motion: Motion, t_s: FloatArray, hand: Motion) -> Trial:
+        """Trial of a motion with a log."""
+        observed_m = self.nodes_m(motion, t_s)
+        gripper = observed_gripper(motion, t_s, self.errors, self.rng)
+        return hold_trial(hand, t_s, observed_m, *gripper)
+
+    def execution(self, motion: Motion, start_s: float, held: Trial) -> Trial:
+        """Trial of an execution, as `cell.run.trials.executed_trial` makes it."""
+        period_s = float(np.median(np.diff(held.markers.t_s)))
+        t_s = np.arange(start_s + 0.001, float(motion.t_s[-1]), period_s)
+        log = logged(self.rng, motion, self.errors.log_m)
+        later, grip = log.t_s > held.grip.t_s[-1], []
+        for name in ("t_s", "x_m", "y_m", "angle_rad"):
+            before, after = getattr(held.grip, name), getattr(log, name)[later]
+            by = 0.0 if name == "t_s" else before[0] - getattr(motion, name)[0]
+            grip.append(np.concatenate([before, after + by]))
+        markers = Markers(t_s, self.nodes_m(motion, t_s))
+        return Trial("execute", "validate", "equilibrium", Motion(*grip), markers)

@@ -234,20 +234,18 @@ def study_of(
     specimen: Specimen,
     *,
     seed: int,
-    noise_m: float = 1e-4,
-    colour: float = 0.3,
     strokes: Sequence[Stroke] = STROKES,
     step_s: float = STEP_S,
     links: int = LINKS,
 ) -> Study:
-    """The study of a specimen, filmed with coloured noise; its gripper's log has none."""
+    """The study of a specimen, filmed with AR(1) noise of 0.1 mm; its gripper's log has none."""
     rng = np.random.default_rng(seed)
     trials = []
     for stroke in strokes:
         end_s = STILL_S + stroke.seconds + HOLD_S
         t_s = np.arange(rng.uniform(0.0, FRAME_S), end_s, FRAME_S)
         points = true_markers(specimen, stroke, t_s, links, step_s)
-        points = points + noise_m * coloured(rng, points.shape, colour)
+        points = points + 1e-4 * coloured(rng, points.shape, 0.3)
         logged_s = np.arange(0.0, end_s, GRIP_S)
         angle = np.full(len(logged_s), stroke.angle_rad)
         x_m, y_m = stroke.place_m(logged_s).T.copy()

@@ -4,8 +4,6 @@ The search terms for the last four of the ten were designed with these laws in m
 LATER were invented after all terms.
 """
 
-# mypy: ignore-errors
-
 from __future__ import annotations
 
 import math

@@ -19,7 +19,7 @@ from cell.plan.paths import MotionLimits, executed_motion, identification_path, 
 from cell.study.data import Markers, Trial
 from drivers.interfaces import Pose
 from tools.worlds.fast_truth import after_rest
-from tools.worlds.made_studies import CABLE, WORLD, logged
+from tools.worlds.made_studies import CABLE, WORLD, filmed, logged
 
 MODEL = Solver()
 LIMITS = MotionLimits()
@@ -75,9 +75,8 @@ def insertion(offset_m: float) -> Motion:
 def measure(model: CableModel, motion: Motion, seed: int, arc_length_m: FloatArray) -> Markers:
     """Markers as a camera at 200 frames/s measures them, with noise."""
     t_s = np.arange(0.001, motion.t_s[-1], 0.005)
-    clean = simulate(model, motion, t_s, arc_length_m, solver=WORLD)[0]
-    noise = np.random.default_rng(seed).normal(0.0, NOISE_M, clean.shape)
-    return Markers(t_s, clean + noise)
+    rng = np.random.default_rng(seed)
+    return filmed(rng, model, motion, t_s, arc_length_m, noise_m=NOISE_M)
 
 
 @cache

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from cell.cable.geometry import GRAVITY_M_PER_S2, Motion
 from cell.files.atomic import write_all
-from cell.study.data import Study, Trial
+from cell.study.data import Study
 from cell.study.hand_drift import HandDrift
 from cell.study.imports.convert import read_captures, study_of
 from cell.study.imports.gripper_section import (
@@ -124,7 +124,17 @@ def _import(
             MarkerEntry(name=n, columns=[f"{n}_x", f"{n}_y"], arc_length_m=float(s))
             for n, s in zip(names, study.arc_length_m, strict=True)
         ],
-        trials=[_entry(t) for t in study.trials],
+        trials=[
+            TrialEntry(
+                name=t.name,
+                file=f"{t.name}.csv",
+                hand_file=f"{t.name}_hand.csv",
+                role=t.role,
+                start=t.start,
+                release_s=t.release_s,
+            )
+            for t in study.trials
+        ],
     )
     with TemporaryDirectory() as place:
         folder = Path(place)
@@ -137,13 +147,6 @@ def _import(
         write_all(files)
         read = read_mapping(folder / FILE)
         return study_of(read, read_captures(read)).study
-
-
-def _entry(trial: Trial) -> TrialEntry:
-    return TrialEntry(
-        name=trial.name, file=f"{trial.name}.csv", hand_file=f"{trial.name}_hand.csv",
-        role=trial.role, start=trial.start, release_s=trial.release_s,
-    )  # fmt: skip
 
 
 def turning(hand: Motion, by_rad: float) -> Motion:

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from cell.plant.client import Client
-from tools.plant.adapter_kills import CONFIG, STEPS, MadeCycle, assigned
+from tools.plant.adapter_kills import STEPS, MadeCycle, assigned
 from tools.plant.around import ADAPTERS, Plant, published
 from tools.plant.pages_soak import MIB, report_growth
 from tools.plant.viewer import Viewer
 from tools.processes import wait_until
+from tools.shipped_settings import FAKE
 
 
 def made(*steps: str, **result: object) -> MadeCycle:
@@ -39,7 +40,7 @@ def test_all_adapters_follow_a_cell_that_only_publishes(tmp_path: Path) -> None:
     if shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin") is None:
         pytest.skip("mosquitto is not installed")
     runs = tmp_path / "runs"
-    with published(runs), Plant(tmp_path / "plant", CONFIG, runs, clients=1) as plant:
+    with published(runs), Plant(tmp_path / "plant", FAKE, runs, clients=1) as plant:
         assert set(plant.running) == {"broker", *ADAPTERS, "clients"}
         assert all(program.process.poll() is None for program in plant.running.values())
         assert set(plant.cpu_s()) == set(plant.running)
