@@ -152,6 +152,19 @@ def set_names(choice: ui.select, names: Sequence[str]) -> None:
     choice.set_options(list(names), value=[n for n in choice.value or [] if n in names])
 
 
+class ShownFiles:
+    """The files that a part of the page shows, as they were when it was filled."""
+
+    def __init__(self) -> None:
+        self._stamps: list[tuple[Path, int]] | None = None
+
+    def changed(self, files: Sequence[Path]) -> bool:
+        """Whether one of them has changed, is new or is gone since the last call."""
+        before = self._stamps
+        self._stamps = [(p, p.stat().st_mtime_ns) for p in files if p.exists()]
+        return self._stamps != before
+
+
 class NeedsStudy:
     """Buttons that are disabled without a study, and the sentence with the reason."""
 

@@ -32,9 +32,6 @@ class Strip:
         self._desk, self._t = desk, desk.t
         self._version = -1
         self._ended = self._ended_jobs()
-
-    def build(self) -> None:
-        """Make the elements and keep them up to date."""
         with ui.card().classes("w-full gap-2 p-3") as self._card:
             self._card.props("data-test=jobs role=status")
             self._rows = [_StripRow(self._desk) for _ in range(_SHOWN)]
@@ -43,8 +40,7 @@ class Strip:
         self._show()
 
     async def _update(self) -> None:
-        if not self._desk.visit.has_role(Role.engineer, used=False):
-            ui.navigate.to("/login")
+        if not self._desk.visit.stays(Role.engineer, used=False):
             return
         if self._version == self._desk.lab.jobs.version:
             return
