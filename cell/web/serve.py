@@ -97,7 +97,7 @@ def serve(
     options: dict[str, Any] = dict(files)
     # uvicorn raises the signal again after it has closed: the open resources here must be closed
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with room.watch, room.lab:
+    with room.watch, room.lab.jobs:
         uvicorn.run(
             app,
             host=address[0],
