@@ -367,12 +367,10 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
         if not Visit(room, request.state.session, "", "en", str).has_role(Role.engineer):
             return Response(status_code=403)
         workspace = room.lab.workspace
-        path: Path | None = None
-        if is_name(name) and page in lab_tasks.PAGES:
-            path = workspace.results(name) / page
-        elif is_name(name) and page == lab_tasks.PREVIEW:
-            path = workspace.studies / name / page
-        if path is None or not path.is_file() or not workspace.inside(path):
+        if not is_name(name) or page not in lab_tasks.PAGES:
+            return Response(status_code=404)
+        path = lab_tasks.page_file(workspace, name, page)
+        if not path.is_file() or not workspace.inside(path):
             return Response(status_code=404)
         headers = {**SANDBOX, "cache-control": "no-store"}
         return FileResponse(path, media_type="text/html", headers=headers)

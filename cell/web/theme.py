@@ -172,8 +172,7 @@ async def confirmed(question: str, answer: str, t: Translate, test: str) -> bool
         ui.label(question)
         with ui.row():
             ui.button(t("Close"), on_click=lambda: dialog.submit(False)).props("outline")
-            yes = ui.button(answer, color=BLUE, on_click=lambda: dialog.submit(True))
-            yes.props(f"text-color=white data-test={test}")
+            filled(answer, test, lambda: dialog.submit(True))
     sure = bool(await dialog)
     dialog.delete()
     return sure

@@ -84,8 +84,7 @@ def build(visit: Visit, name: str) -> None:
                 for tab, words in _TO_LAB.items():
                     link = ui.link(visit.t(words), f"/lab?study={name}&tab={tab}")
                     link.props(f"data-test=to-{tab}")
-                button = ui.button(visit.t("Replay"), icon="replay", on_click=page.replay)
-                button.props("outline dense data-test=replay")
+                outlined(visit.t("Replay"), "replay", page.replay, "replay").props("dense")
         page.place()
         ui.timer(0.01, page.fill, once=True)
 

@@ -15,7 +15,7 @@ from cell.plant.users import Role
 from cell.settings.entries import SettingsEntry, SettingsForm
 from cell.settings.promotion import ChangedMeanwhileError, read_exactly, replace_settings, versions
 from cell.web.draft import Draft, differences, value_text
-from cell.web.theme import BLUE, Unsaved, card, filled, heading, notify_refusal, outlined
+from cell.web.theme import Unsaved, card, filled, heading, notify_refusal, outlined
 from cell.web.visit import Visit
 from cell.web.wording import Translate
 
@@ -273,7 +273,7 @@ class _SettingsPage:
             _diff(differences(before, after, self._draft.config.name))
             ui.label(t("A running cell takes changes up at its next start."))
             with ui.row():
-                write = ui.button(t("Write"), color=BLUE).props("text-color=white data-test=write")
+                write = filled(t("Write"), "write")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
 
         async def written() -> None:

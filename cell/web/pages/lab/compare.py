@@ -95,10 +95,7 @@ class ComparePanel:
             for line in first_lines(log):
                 ui.label(line).classes("break-words text-lg").props("data-test=sentence")
             chart(model_errors(data, t), "h-72").props("data-test=errors")
-            page = desk.result(f"{self._file}.html")
-            if page is not None:
-                title = t("Every trial with a time slider")
-                frame(desk, f"{self._file}.html", title, page)
+            frame(desk, f"{self._file}.html", t("Every trial with a time slider"))
             output(t("As the command prints it"), log)
         with card(t("Where they fail")):
             trials = trials_of(data)

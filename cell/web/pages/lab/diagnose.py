@@ -29,7 +29,6 @@ from cell.web.pages.lab.desk import (
     set_names,
 )
 from cell.web.theme import (
-    BLUE,
     card,
     chart,
     columns,
@@ -128,9 +127,7 @@ class DiagnosePanel:
                     words = f"{effect}: {t('law, limits and remedy')}"
                     ui.link(words, f"{entry}#{effect}", new_tab=True)
             chart(error_steps(data, t), "h-72").props("data-test=falling")
-            page = desk.result("diagnosis.html")
-            if page is not None:
-                frame(desk, "diagnosis.html", t("Report with the evidence"), page)
+            frame(desk, "diagnosis.html", t("Report with the evidence"))
             output(t("As the command prints it"), log)
         with ui.element("div").classes("w-full grid grid-cols-1 xl:grid-cols-3 gap-4"):
             with ui.card().classes("w-full xl:col-span-2"):
@@ -186,8 +183,7 @@ class DiagnosePanel:
                 desk.ask(task, asked_s)
 
             with ui.row():
-                button = ui.button(t("Measure now"), color=BLUE)
+                button = filled(t("Measure now"), "measure-now")
                 on_press(desk.visit.heartbeats, button, t("Measure now"), measure)
-                button.props("text-color=white data-test=measure-now")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
         outlined(t("Measure"), "measure", dialog.open, "straighten")

@@ -182,9 +182,7 @@ class StudyPanel:
             label = ui.label("\n".join(line for line in lines if not line.endswith(_PICTURES)))
             label.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
             output(self._t("As the command prints it"), log)
-            page = desk.result("look.html")
-            if page is not None:
-                frame(desk, "look.html", self._t("Pictures of every trial"), page, opened=True)
+            frame(desk, "look.html", self._t("Pictures of every trial"), opened=True)
 
             def look() -> None:
                 desk.ask(desk.tasks.show_study(subject))
@@ -201,7 +199,7 @@ class StudyPanel:
             ui.label(str(error))
             return
         output(t("What was understood"), subject.folder / "import.txt")
-        frame(desk, PREVIEW, t("Preview"), subject.folder / PREVIEW)
+        frame(desk, PREVIEW, t("Preview"))
         ui.label(t("Check the mapping; what is missing is marked null."))
         editor = ui.codemirror(text, language="YAML", theme=desk.editor_theme).classes("w-full")
         editor.style("height: 26rem").props("data-test=mapping")
