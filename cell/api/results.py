@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -218,15 +217,7 @@ class CompareResult(Shown):
 
 def _write_csv(path: Path, heads: Sequence[str], rows: FloatArray) -> Path:
     lines = [",".join(heads), *(_csv_row(row) for row in rows)]
-    new = [f for f in (path.parent, path.parent.parent) if not f.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        write_atomic(path, "\n".join(lines) + "\n")
-    except OSError:
-        with suppress(OSError):
-            for folder in new:
-                folder.rmdir()
-        raise
+    write_atomic(path, "\n".join(lines) + "\n")
     return path
 
 

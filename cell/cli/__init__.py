@@ -172,7 +172,7 @@ for group in (
 app.add_typer(calibrate.app)
 app.add_typer(serve.app)
 app.add_typer(adapters.opcua_app)
-app.add_typer(serve.users_app, name="user", help="Users of pages and OPC UA.")
+app.add_typer(serve.users_app, name="user")
 
 
 def _version(wanted: bool) -> None:

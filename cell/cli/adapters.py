@@ -20,7 +20,7 @@ import typer
 
 from cell.cli.arguments import Runs
 from cell.cli.output import print_json
-from cell.cli.serve import FILE, Name, RoleName, UsersFile, add_user, opcua_folder, remove_user
+from cell.cli.serve import FILE, UsersFile, users_app
 from cell.cli.shared import (
     NOT_ALL_DONE,
     Config,
@@ -44,8 +44,7 @@ if TYPE_CHECKING:
 
 app = group()
 opcua_app = group("opcua")
-opcua_user = group()
-opcua_app.add_typer(opcua_user, name="user", help="Users of the OPC UA server.")
+opcua_app.add_typer(users_app, name="user")
 
 
 def _settings(config: Path | None) -> Settings:
@@ -215,27 +214,6 @@ def opcua(
             if settings.plant is not None and settings.plant.opcua is not None:
                 to_file(settings.plant.opcua.folder / "opcua.log")
             serve(settings, runs, lambda address: print(f"listens at {address}", flush=True), users)
-
-
-@opcua_user.command()
-def add(name: Name, *, config: Config, role: RoleName = "watch", users: UsersFile = FILE) -> None:
-    """Add a user: the same as `cell user add`."""
-    add_user(users, name, role, _opcua_folder(config))
-
-
-@opcua_user.command()
-def remove(name: Name, *, config: Config, users: UsersFile = FILE) -> None:
-    """Remove a user: the same as `cell user remove`.  Sessions that are open stay."""
-    remove_user(users, name, _opcua_folder(config))
-
-
-def _opcua_folder(config: Path) -> Path:
-    """Folder of the server; settings without one are refused."""
-    folder = opcua_folder(config)
-    if folder is None:
-        message = f"{config}: has no section plant.opcua; add one, it may be empty: {{}}"
-        refuse(ValueError(message))
-    return folder
 
 
 class TypedLines:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import MISSING, fields
 from inspect import Parameter, Signature
@@ -55,9 +55,11 @@ def taking(kind: type[Any]) -> Callable[[Callable[[Any], None]], Callable[..., N
 RECORDING = ".mcap"
 
 
-def folder_of(ctx: typer.Context, path: Path) -> Path:
-    """The folder itself; for a recording a temporary folder, until the command ends."""
-    return folder_in(ctx.with_resource, path)
+def folder_of(ctx: typer.Context, given: Any) -> Any:
+    """A path or several; in place of a recording a temporary folder, until the command ends."""
+    if given is None or isinstance(given, Path):
+        return given and folder_in(ctx.with_resource, given)
+    return [folder_in(ctx.with_resource, path) for path in given]
 
 
 def records_folder(folder: Path) -> Path:
@@ -78,16 +80,6 @@ Runs = Annotated[
 RunsFolder = Annotated[
     Path, typer.Argument(help="Folder of the cycles: that of `cell run --runs`.")
 ]
-
-
-def maybe_folder_of(ctx: typer.Context, path: Path | None) -> Path | None:
-    """As `folder_of`; None stays None."""
-    return None if path is None else folder_of(ctx, path)
-
-
-def folders_of(ctx: typer.Context, paths: Sequence[Path]) -> list[Path]:
-    """As `folder_of`, for several paths."""
-    return [folder_of(ctx, path) for path in paths]
 
 
 def folder_in(enter: Callable[[AbstractContextManager[str]], str], path: Path) -> Path:

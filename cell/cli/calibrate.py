@@ -38,6 +38,19 @@ app = group(
     "calibrate", help="Calibrate a cell, or a part of it, and state the errors of the result."
 )
 
+#: Parts of a calibration in their order: the help text of each one's command.
+_PARTS = {
+    "camera": "Calibrate the lens from pictures of the board, live or from a folder.",
+    "cell": "Calibrate the map from pixels to the cell's plane with the jaw plate; needs the lens.",
+    "time": "Measure the camera's latency and the arm's lag in one motion; needs `calibrate cell`.",
+    "grip": "Measure gripping point, clamp angle and free length of a cable; needs `calibrate "
+    "cell`.\n\nEach product of the settings has its own grip calibration.",
+}
+_CODES = """
+
+Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong or
+the measurements contradict each other."""
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Source = Annotated[
     Path | None,
@@ -98,57 +111,30 @@ def everything(
         refuse(ValueError("cell calibrate: --config is missing; give the settings of the cell"))
     options = _Calibrate(config, seed, as_json, dialogue)
     with _workshop(options, product=product) as work:
-        parts = ("camera", "cell", "time", "grip")
-        work.check_files(*parts)
-        for part in parts:
+        work.check_files(*_PARTS)
+        for part in _PARTS:
             work.do(part)
         _end(work, as_json)
 
 
-@app.command()
-@taking(_Part)
-def camera(options: _Part) -> None:
-    """Calibrate the lens from pictures of the board, live or from a folder.
+def _add_part(part: str, text: str) -> None:
+    """Add the command that calibrates one part."""
+    kind = _Grip if part == "grip" else _Part
 
-    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
-    or the measurements contradict each other.
-    """
-    _calibrate_part("camera", options)
-
-
-@app.command()
-@taking(_Part)
-def cell(options: _Part) -> None:
-    """Calibrate the map from pixels to the cell's plane with the jaw plate; needs the lens.
-
-    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
-    or the measurements contradict each other.
-    """
-    _calibrate_part("cell", options)
+    @app.command(part, help=text + _CODES)
+    @taking(kind)
+    def calibrate_part(options: _Part) -> None:
+        product = options.product if isinstance(options, _Grip) else None
+        live, gripped = options.source is None, part == "grip"
+        with _workshop(options, live=live, product=product, gripped=gripped) as work:
+            work.check_files(part)
+            if work.do(part, options.source) is None:
+                raise typer.Exit(NOT_ALL_DONE)
+            _end(work, options.as_json)
 
 
-@app.command("time")
-@taking(_Part)
-def time_(options: _Part) -> None:
-    """Measure the camera's latency and the arm's lag in one motion; needs `calibrate cell`.
-
-    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
-    or the measurements contradict each other.
-    """
-    _calibrate_part("time", options)
-
-
-@app.command()
-@taking(_Grip)
-def grip(options: _Grip) -> None:
-    """Measure gripping point, clamp angle and free length of a cable; needs `calibrate cell`.
-
-    Each product of the settings has its own grip calibration.
-
-    Exit codes: 0 if the result is good enough for `cell run`; 1 if not; 2 if the settings are wrong
-    or the measurements contradict each other.
-    """
-    _calibrate_part("grip", options, options.product)
+for _part, _text in _PARTS.items():
+    _add_part(_part, _text)
 
 
 @app.command()
@@ -190,15 +176,6 @@ def board(
         board = Board(columns, rows, square_mm / 1e3, dictionary=dictionary, legacy=legacy)
         write_atomic(out, board_pdf(board))
     print(f"{out}: print at 100 %, measure ten squares, put the result in calibration.square_m")
-
-
-def _calibrate_part(part: str, options: _Part, product: str | None = None) -> None:
-    live, gripped = options.source is None, part == "grip"
-    with _workshop(options, live=live, product=product, gripped=gripped) as work:
-        work.check_files(part)
-        if work.do(part, options.source) is None:
-            raise typer.Exit(NOT_ALL_DONE)
-        _end(work, options.as_json)
 
 
 def _end(work: CalibrationJob, as_json: bool) -> None:

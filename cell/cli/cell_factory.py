@@ -13,8 +13,9 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from cell.cli.shared import handled
 from cell.files.input_error import InputError
 from cell.plant.children import Adapters, command_of
 from cell.plant.link import Handler, Link
@@ -222,7 +223,8 @@ class PlantEnd:
             select_product=self._made.change_product,
         )
         self._service = service
-        with closing(self._adapters(config)) as adapters, link, _ended_by_sigterm(service):
+        ended = handled(lambda *_: service.end(), signal.SIGTERM)  # after the cycle under way
+        with closing(self._adapters(config)) as adapters, link, ended:
             adapters.start()
             try:
                 service.run(tell)
@@ -271,17 +273,3 @@ def interrupted(result: Result) -> bool:
     """Whether a cycle was ended by Ctrl-C or a closed terminal, not by a command to the cell."""
     causes = ("interrupted by a person", "the terminal was closed")
     return result.fault is not None and result.fault.cause in causes
-
-
-@contextmanager
-def _ended_by_sigterm(service: Service) -> Iterator[None]:
-    """SIGTERM ends the service after the cycle under way."""
-
-    def end(number: int, frame: Any) -> None:
-        service.end()
-
-    former = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, former)

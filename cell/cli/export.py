@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import folder_of, maybe_folder_of, taking
+from cell.cli.arguments import folder_in, folder_of, taking
 from cell.cli.lab import MovedEffect
 from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
@@ -42,7 +42,7 @@ class Target(Enum):
 
 def _model_file(ctx: typer.Context, path: Path) -> Path:
     """The file itself, or that of a cycle's folder or recording."""
-    file = folder_of(ctx, path)
+    file = folder_in(ctx.with_resource, path)
     return file / "model.json" if file.is_dir() else file
 
 
@@ -73,7 +73,7 @@ class ExportOptions:
         typer.Option(
             "--study",
             help="Compare in this study's or cycle's own motions too.",
-            callback=maybe_folder_of,
+            callback=folder_of,
         ),
     ] = None
     effect: MovedEffect = None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cell.cli.arguments import Workers, folder_of, maybe_folder_of, taking, workers
+from cell.cli.arguments import Workers, folder_of, taking, workers
 from cell.cli.lab import InModel, LineModel, PriorFile
 from cell.cli.output import Json, JsonCommand, deliver_result
 from cell.cli.shared import (
@@ -42,7 +42,7 @@ class FitCommandOptions:
         typer.Argument(
             help="A study: a folder with study.yaml, a recorded cycle's folder, or its recording. "
             "None with --from.",
-            callback=maybe_folder_of,
+            callback=folder_of,
             show_default=False,
         ),
     ] = None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import Workers, folder_of, folders_of, taking, workers
+from cell.cli.arguments import Workers, folder_of, taking, workers
 from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
     NOT_ALL_DONE,
@@ -186,7 +186,7 @@ class _Diagnose(_CandidateOptions):
         typer.Argument(
             help="A study: a folder with study.yaml, a recorded cycle's folder, or its recording. "
             "Several: of cables that may lack the same.",
-            callback=folders_of,
+            callback=folder_of,
         ),
     ]
     config: LineModel = None

@@ -193,44 +193,30 @@ def _answer(
     now: datetime,
 ) -> tuple[Any, Sequence[Part]]:
     """Requested data, as plain data and as tables."""
-    from cell.cli.cycle_tables import cycles_parts, faults_parts, shifts_parts
+    from cell.cli.cycle_tables import cycles_parts, faults_parts, losses_parts, shifts_parts
 
     if options.faults:
         counts = ledger.faults(wanted)
         return faults_json(counts), faults_parts(counts)
     if options.oee or options.losses:
         from cell.records.ledger.effectiveness import shifts
+        from cell.records.ledger.losses import read_forecasts, shift_losses
         from cell.settings.records import LedgerSettings as Section
 
         section = (None if settings is None else settings.ledger) or Section()
         begins = [time.fromisoformat(t) for t in section.shifts]
         if options.losses:
-            return _losses(ledger, wanted, options.candidate, settings, begins, now)
+            learned = None
+            if options.candidate is not None and settings is not None:
+                learned = read_forecasts(options.candidate, settings, ledger)
+            ideal_s = section.ideal_cycle_s
+            losses = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
+            return [s.to_json() for s in losses], losses_parts(losses)
         listed_shifts = shifts(ledger, wanted, begins, now, section.ideal_cycle_s)
         return [s.to_json() for s in listed_shifts], shifts_parts(listed_shifts)
     most = options.most if options.as_json else options.most or _SHOWN
     listed = ledger.listed(wanted, most, estimates=options.as_json)
     return [c.to_json() for c in listed], cycles_parts(listed, ledger.count(wanted))
-
-
-def _losses(
-    ledger: Ledger,
-    wanted: LedgerQuery,
-    candidate: Path | None,
-    settings: Settings | None,
-    begins: Sequence[time],
-    now: datetime,
-) -> tuple[Any, Sequence[Part]]:
-    """Lost time of every shift, as plain data and as a table."""
-    from cell.cli.cycle_tables import losses_parts
-    from cell.records.ledger.losses import read_forecasts, shift_losses
-
-    learned = None
-    if candidate is not None and settings is not None:
-        learned = read_forecasts(candidate, settings, ledger)
-    ideal_s = None if settings is None or settings.ledger is None else settings.ledger.ideal_cycle_s
-    losses = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
-    return [s.to_json() for s in losses], losses_parts(losses)
 
 
 def faults_json(counts: Sequence[tuple[str, int, str]]) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ table, so that help is quick.
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,8 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from cell.cli.shared import NOT_ALL_DONE, STDOUT, answering, unhindered
+from cell.cli.shared import NOT_ALL_DONE, STDOUT, answering, handled
 from cell.cli.streams import OutputClosedError, emit, without_reader
+from cell.computer.watched import ANSWERED
 from cell.files.rescue import write_or_rescue
 from cell.files.table import TableData
 
@@ -98,7 +100,7 @@ def deliver(printed: Callable[[], None], *files: Delivery) -> None:
             pass
         except (OutputClosedError, OSError) as error:
             unheard = error
-        with unhindered():
+        with handled(signal.SIG_IGN, *ANSWERED):
             troubles = [
                 message
                 for path, write in files

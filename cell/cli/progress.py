@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -89,7 +89,7 @@ class Stage:
 
 
 class Ticker:
-    """Prints a line on the error stream periodically, in its own thread, until closed.
+    """Prints a line on the error stream periodically, in its own thread, until stopped.
 
     line     gives the text to print now; empty = nothing
     every_s  interval; None = the default
@@ -109,7 +109,7 @@ class Ticker:
         self._thread = GuardedThread("progress", self._tick, only_logged)
         self._thread.start()
 
-    def close(self) -> None:
+    def stop(self) -> None:
         """Print no more."""
         self._closed.set()
         self._thread.join()
@@ -147,23 +147,23 @@ class ProgressLine:
         self._now_s = now_s
         self._started_s = now_s()
         self._stage = Stage("at work", 0, 0, self._started_s)
-        self._status: Status | None = None
+        self._drawn: Status | Progress | None = None
         self._ticker: Ticker | None = None
         self._errors: list[ModelError] = []
 
     def watch(self, error: ModelError) -> None:
         """Take the error of a model that was fitted.  A `Work` calls it."""
         self._errors.append(error)
-        if self._status is not None:
-            self._status.update(self.line())
+        if isinstance(self._drawn, Status):
+            self._drawn.update(self.line())
         elif PROGRESS_VARIABLE in os.environ:
             print(FIT_ERROR + json.dumps(asdict(error)), file=sys.stderr, flush=True)
 
     def __call__(self, text: str, done: int = 0, total: int = 0) -> None:
         """A piece begins: `done` of `total` are complete; 0 of 0 = they cannot be counted."""
         self._stage = self._stage.then(text, done, total, self._now_s())
-        if self._status is not None:
-            self._status.update(self.line())
+        if isinstance(self._drawn, Status):
+            self._drawn.update(self.line())
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins."""
@@ -178,28 +178,31 @@ class ProgressLine:
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Hide the line while a person answers a prompt."""
-        if self._status is not None:
-            self._status.stop()
+        if self._drawn is not None:
+            self._drawn.stop()
         yield
-        if self._status is not None:
-            self._status.start()
+        if self._drawn is not None:
+            self._drawn.start()
 
-    def __enter__(self) -> ProgressLine:
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
-            self._status = Status(self.line(), console=self._console)
-            self._status.start()
+            self._drawn = self._draw()
+            self._drawn.start()
         else:
             self._ticker = Ticker(self.line)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-        if self._ticker is not None:
-            self._ticker.close()
+        for shown in (self._drawn, self._ticker):
+            if shown is not None:
+                shown.stop()
+
+    def _draw(self) -> Status | Progress:
+        """What moves at a terminal."""
+        return Status(self.line(), console=self._console)
 
 
-class RunProgress:
+class RunProgress(ProgressLine):
     """A line that moves on with every step, on the error stream; off a terminal one every 10 s.
 
     The remaining time assumes that the remaining cycles take as long as those so far.
@@ -207,20 +210,12 @@ class RunProgress:
     steps  names of those of one cycle, in their order
     """
 
-    def __init__(
-        self,
-        cycles: int,
-        steps: Sequence[str],
-        now_s: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, cycles: int, steps: Sequence[str]) -> None:
+        super().__init__("run")
         self._cycles = cycles
         self._steps = steps
-        self._now_s = now_s
-        self._started_s = now_s()
         self._stage = Stage("connect", 0, cycles, self._started_s)
-        self._ticker: Ticker | None = None
-        console = Console(stderr=True)
-        self._progress = Progress(
+        self._bar = Progress(
             SpinnerColumn(),
             TextColumn("cable {task.fields[number]} of {task.fields[cycles]}"),
             BarColumn(bar_width=16),
@@ -228,52 +223,33 @@ class RunProgress:
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"),
             TextColumn("{task.fields[hint]}"),
-            console=console,
+            console=self._console,
             transient=True,
-            disable=not console.is_terminal,
         )
+        in_all = cycles * len(steps)
+        self._task = self._bar.add_task("", total=in_all, number=1, cycles=cycles, left="", hint="")
 
-    def __enter__(self) -> RunProgress:
-        self._progress.start()
-        self._line = self._progress.add_task(
-            "",
-            total=self._cycles * len(self._steps),
-            number=1,
-            cycles=self._cycles,
-            left="",
-            hint="",
-        )
-        if self._progress.disable:
-            self._ticker = Ticker(self.line)
-        return self
-
-    def line(self) -> str:
-        """Text that is printed off a terminal."""
-        return f"run: {self._stage.line(self._started_s, self._now_s())}"
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-        if self._ticker is not None:
-            self._ticker.close()
+    def _draw(self) -> Progress:
+        return self._bar
 
     def step(self, number: int, step: str) -> None:
         """A step of a cycle begins."""
         if step in self._steps:
             done = (number - 1) * len(self._steps) + self._steps.index(step)
-            self._progress.update(self._line, completed=done)
+            self._bar.update(self._task, completed=done)
         words = _STEPS.get(step, step.replace("_", " "))
         now_s = self._now_s()
         self._stage = self._stage.then(f"{words}, cables done", number - 1, self._cycles, now_s)
         remaining = self._stage.remaining(now_s)
-        self._progress.update(self._line, description=words, number=number, left=remaining)
+        self._bar.update(self._task, description=words, number=number, left=remaining)
 
     def print_line(self, words: str) -> None:
         """Print a permanent line above the moving one."""
-        self._progress.console.print(words, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def hint(self, words: str) -> None:
         """Show the function of the keys."""
-        self._progress.update(self._line, hint=words)
+        self._bar.update(self._task, hint=words)
 
 
 def error_sparkline(errors: Sequence[ModelError]) -> str:

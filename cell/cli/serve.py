@@ -16,13 +16,12 @@ if TYPE_CHECKING:
     from cell.web.visit import PagesContext
 
 app = group("serve")
-users_app = group()
-user = group()
-app.add_typer(user, name="user", help="Users of the pages.")
+#: Also below `cell serve` and `cell opcua`.
+users_app = group(help="Users of pages and OPC UA.")
+app.add_typer(users_app, name="user")
 
 Name = Annotated[str, typer.Argument(help="Name of the user.")]
 UsersFile = Annotated[Path, typer.Option("--users", help="File of the users.")]
-RoleName = Annotated[str, typer.Option(help="watch, operate or engineer.")]
 #: As `cell.plant.users.FILE`, which is not imported for the help.
 FILE = Path("users.json")
 
@@ -147,18 +146,6 @@ def _room(config: Path, runs: Path, accounts: object) -> PagesContext:
     return PagesContext(config, settings, runs, client, watch, sessions)
 
 
-@user.command("add")
-def add_by_serve(name: Name, *, role: RoleName = "watch", users: UsersFile = FILE) -> None:
-    """Add a user: the same as `cell user add`."""
-    add_user(users, name, role, None)
-
-
-@user.command("remove")
-def remove_by_serve(name: Name, *, users: UsersFile = FILE) -> None:
-    """Remove a user: the same as `cell user remove`."""
-    remove_user(users, name, None)
-
-
 def typed_password() -> str:
     """Read a password: asked for twice at a terminal, else the first line of standard input."""
     if sys.stdin.isatty():
@@ -168,20 +155,41 @@ def typed_password() -> str:
 
 @users_app.command()
 def add(
-    name: Name, *, role: RoleName = "watch", users: UsersFile = FILE, config: MaybeConfig = None
+    name: Name,
+    *,
+    role: Annotated[str, typer.Option(help="watch, operate or engineer.")] = "watch",
+    users: UsersFile = FILE,
+    config: MaybeConfig = None,
 ) -> None:
     """Add a user of pages and OPC UA, or give one another role and password.
 
     The password is asked for; without a terminal it is the first line of the standard input.  Only
     its hash is kept, in a file that only its owner can read.
     """
-    add_user(users, name, role, opcua_folder(config))
+    from cell.plant.users import Role, all_users
+
+    folder = opcua_folder(config)
+    try:
+        if role not in Role.__members__:
+            raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
+        with needing("web", "users need", "argon2"):
+            new = all_users(users, folder).add(name, Role[role], typed_password())
+        print(f"{name}: {'added' if new else 'changed'}, may {role}")
+    except (OSError, ValueError) as error:
+        refuse(error)
 
 
 @users_app.command()
 def remove(name: Name, *, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
-    """Remove a user, whose sessions at the pages end."""
-    remove_user(users, name, opcua_folder(config))
+    """Remove a user, whose sessions at the pages end; those of OPC UA stay."""
+    from cell.plant.users import all_users
+
+    folder = opcua_folder(config)
+    try:
+        all_users(users, folder).remove(name)
+        print(f"{name}: removed")
+    except (OSError, ValueError) as error:
+        refuse(error)
 
 
 @users_app.command("list")
@@ -189,34 +197,10 @@ def list_(*, users: UsersFile = FILE, config: MaybeConfig = None) -> None:
     """List all users with their roles."""
     from cell.plant.users import all_users
 
+    folder = opcua_folder(config)
     try:
-        for user in all_users(users, opcua_folder(config)).all():
+        for user in all_users(users, folder).all():
             print(f"{user.name}: may {user.role.name}")
-    except (OSError, ValueError) as error:
-        refuse(error)
-
-
-def add_user(file: Path, name: str, role: str, folder: Path | None) -> None:
-    """Do `user add`; `folder`: older users' folder of OPC UA, which is read, too."""
-    from cell.plant.users import Role, all_users
-
-    try:
-        if role not in Role.__members__:
-            raise ValueError(f"--role {role}: no role; give one of {', '.join(Role.__members__)}")
-        with needing("web", "users need", "argon2"):
-            new = all_users(file, folder).add(name, Role[role], typed_password())
-        print(f"{name}: {'added' if new else 'changed'}, may {role}")
-    except (OSError, ValueError) as error:
-        refuse(error)
-
-
-def remove_user(file: Path, name: str, folder: Path | None) -> None:
-    """Do `user remove`."""
-    from cell.plant.users import all_users
-
-    try:
-        all_users(file, folder).remove(name)
-        print(f"{name}: removed")
     except (OSError, ValueError) as error:
         refuse(error)
 

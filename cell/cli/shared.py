@@ -23,6 +23,9 @@ from drivers.installing import install_extra
 if TYPE_CHECKING:
     from cell.cli.progress import ProgressLine
 
+#: Of a signal: gets its number and the interrupted frame.
+_Handler = Callable[[int, FrameType | None], None]
+
 ALL_DONE, NOT_ALL_DONE, BAD_INPUT = 0, 1, 2
 #: The command that is being run.
 COMMAND_LINE: ContextVar[CommandLine | None] = ContextVar("COMMAND_LINE", default=None)
@@ -162,24 +165,23 @@ def answering() -> Iterator[Interruption]:
         else:
             raise KeyboardInterrupt
 
-    former = signal.signal(signal.SIGALRM, raise_outside)
-    try:
-        with _interrupting(interrupt, interruption):
-            yield interruption
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, former)
+    with handled(raise_outside, signal.SIGALRM):
+        try:
+            with _interrupting(interrupt, interruption):
+                yield interruption
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 @contextmanager
-def unhindered() -> Iterator[None]:
-    """Ignore Ctrl-C and SIGTERM within the `with`, which must be short."""
-    former = {s: signal.signal(s, signal.SIG_IGN) for s in ANSWERED}
+def handled(handler: _Handler | signal.Handlers, *signals: signal.Signals) -> Iterator[None]:
+    """Handle these signals within the `with`; then their former handlers are restored."""
+    former = {s: signal.signal(s, handler) for s in signals}
     try:
         yield
     finally:
-        for s, handler in former.items():
-            signal.signal(s, handler)
+        for s, before in former.items():
+            signal.signal(s, before)
 
 
 def _is_within(frame: FrameType | None) -> bool:
@@ -192,9 +194,7 @@ def _is_within(frame: FrameType | None) -> bool:
 
 
 @contextmanager
-def _interrupting(
-    handler: Callable[[int, FrameType | None], None], interruption: Interruption
-) -> Iterator[None]:
+def _interrupting(handler: _Handler, interruption: Interruption) -> Iterator[None]:
     """Pass signals that end a command to a handler; after an interruption they are ignored.
 
     A command without results then ends, and prints so.
@@ -257,12 +257,8 @@ def interrupted_once() -> Iterator[SingleInterruption]:
             print("already stopping", file=sys.stderr)
 
     heard = [s for s in _ENDING if signal.getsignal(s) is not signal.SIG_IGN]
-    former = {s: signal.signal(s, interrupt) for s in heard}
-    try:
+    with handled(interrupt, *heard):
         yield interruption
-    finally:
-        for s, handler in former.items():
-            signal.signal(s, handler)
 
 
 @contextmanager

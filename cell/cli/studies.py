@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.cli.arguments import Workers, folders_of, taking, workers
+from cell.cli.arguments import Workers, folder_of, taking, workers
 from cell.cli.lab import InModel, LineModel, Results, StudyFolder
 from cell.cli.output import Json, JsonCommand, deliver_result, show
 from cell.cli.shared import (
@@ -39,7 +39,7 @@ def study(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            help="Folders of recorded cycles, recordings, or studies.", callback=folders_of
+            help="Folders of recorded cycles, recordings, or studies.", callback=folder_of
         ),
     ],
     out: Annotated[

@@ -7,21 +7,18 @@ import hmac
 import os
 import sys
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import urlsplit
 
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from cell.computer.peers import user_of_peer
 from cell.plant.users import Users
 from cell.web.sessions import LoginSession, Sessions, local_session
-
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 COOKIE = "cell_session"
 LOGIN = "/login"
@@ -42,11 +39,11 @@ SANDBOX = {
     "content-security-policy": "sandbox allow-scripts; default-src 'unsafe-inline' data:; "
     "frame-ancestors 'self'"
 }
-_HEADERS = (
-    (b"content-security-policy", _POLICY.encode()),
-    (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"same-origin"),
-)
+_HEADERS = {
+    "content-security-policy": _POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+}
 
 
 #: Time after each answer during which browsers use TLS only for this host, s.  It holds for all of
@@ -82,7 +79,7 @@ class Guard:
 
     def __init__(
         self,
-        app: App,
+        app: ASGIApp,
         sessions: Sessions | None,
         secure: bool,
         users: Users | None = None,
@@ -93,27 +90,26 @@ class Guard:
         self._users = users
         self._sessions = sessions
         self._secure = secure
-        tls = ((b"strict-transport-security", f"max-age={_TLS_ONLY_S}".encode()),)
-        self._headers = (*_HEADERS, *(tls if secure else ()))
+        tls = {"strict-transport-security": f"max-age={_TLS_ONLY_S}"} if secure else {}
+        self._headers = _HEADERS | tls
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request, or pass it on with its session in `state`."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
-        if self._may_scrape(scope, headers):
+        connection = HTTPConnection(scope)
+        if self._may_scrape(connection):
             await self._app(scope, receive, send)
             return
-        session = self._session(headers)
-        status = self._refusal(scope, headers, session)
-        if status:
-            await _refuse(scope, send, status)
+        session = self._session(connection)
+        if status := self._refusal(connection, session):
+            await _refuse(scope, receive, send, status)
             return
         scope.setdefault("state", {})["session"] = session
         body, begun, refusal = _Body(), False, 0
 
-        async def heard() -> MutableMapping[str, Any]:
+        async def heard() -> Message:
             nonlocal refusal
             if scope["type"] == "http" and not body.is_complete:
                 message, refusal = await body.receive(receive)
@@ -125,15 +121,16 @@ class Guard:
                 return {"type": "websocket.disconnect", "code": 1008}
             return message
 
-        async def sent(message: MutableMapping[str, Any]) -> None:
+        async def sent(message: Message) -> None:
             nonlocal begun
             if refusal and not begun:
                 return  # the application's answer to the aborted body: the refusal follows
             begun = True
             if message["type"] == "http.response.start":
-                known = {k.lower() for k, _ in message.get("headers", ())}
-                new = [h for h in self._headers if h[0] not in known]
-                message["headers"] = [*message.get("headers", ()), *new]
+                message.setdefault("headers", [])
+                headers = MutableHeaders(scope=message)
+                for name, value in self._headers.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         try:
@@ -141,22 +138,19 @@ class Guard:
         except _BodyError:
             if begun:
                 raise
-            await _refuse(scope, send, refusal)
+            await _refuse(scope, receive, send, refusal)
 
-    def _may_scrape(self, scope: Scope, headers: dict[str, str]) -> bool:
+    def _may_scrape(self, request: HTTPConnection) -> bool:
         """Whether a request for the metrics has their token."""
-        if not self._bearer or scope["path"] != METRICS or scope.get("method") != "GET":
+        if not self._bearer or request["path"] != METRICS or request.get("method") != "GET":
             return False
-        return hmac.compare_digest(headers.get("authorization", "").encode(), self._bearer.encode())
+        given = request.headers.get("authorization", "")
+        return hmac.compare_digest(given.encode(), self._bearer.encode())
 
-    def _session(self, headers: dict[str, str]) -> LoginSession | None:
+    def _session(self, request: HTTPConnection) -> LoginSession | None:
         if self._sessions is None:
             return local_session()
-        try:
-            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-        except CookieError:
-            return None
-        return self._sessions.of(None if cookie is None else cookie.value)
+        return self._sessions.of(request.cookies.get(COOKIE))
 
     def _ended(self, session: LoginSession | None) -> bool:
         """Whether the session of an open socket has ended: its messages are ignored."""
@@ -166,8 +160,9 @@ class Guard:
             return False
         return self._sessions.renewed(session.key, used=False) is None
 
-    def _refusal(self, scope: Scope, headers: dict[str, str], session: LoginSession | None) -> int:
+    def _refusal(self, request: HTTPConnection, session: LoginSession | None) -> int:
         """Status code of the refusal; 0 = the request is allowed."""
+        scope, headers = request.scope, request.headers
         host = headers.get("host", "")
         if self._sessions is None and not is_loopback(host):
             return 421
@@ -203,7 +198,7 @@ class _Body:
         self.is_complete = False
         self._bytes, self._waited_s = 0, 0.0
 
-    async def receive(self, receive: Receive) -> tuple[MutableMapping[str, Any], int]:
+    async def receive(self, receive: Receive) -> tuple[Message, int]:
         """The next message, and the status code of a refusal; 0 = it is allowed."""
         started_s = time.monotonic()
         try:
@@ -230,23 +225,23 @@ def _is_of_this_user(scope: Scope) -> bool:
     return user in (0, os.getuid())
 
 
-async def _refuse(scope: Scope, send: Send, status: int) -> None:
+_REFUSALS = {
+    **{303: "log in", 401: "log in", 413: "too long", 408: "too slow", 421: "not this host"},
+    403: "from another site, or another user's: cell user add makes accounts",
+    503: "users were added: start cell serve again, and log in",
+}
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008})
         return
-    headers = [(b"content-type", b"text/plain"), *_HEADERS]
+    headers = dict(_HEADERS)
     if status in (408, 413):  # the rest of the body is not read
-        headers.append((b"connection", b"close"))
+        headers["connection"] = "close"
     if status == 303:
-        headers.append((b"location", LOGIN.encode()))
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    messages = {
-        **{303: b"log in", 401: b"log in", 413: b"too long"},
-        408: b"too slow",
-        403: b"from another site, or another user's: cell user add makes accounts",
-        503: b"users were added: start cell serve again, and log in",
-    }
-    await send({"type": "http.response.body", "body": messages.get(status, b"not this host")})
+        headers["location"] = LOGIN
+    await PlainTextResponse(_REFUSALS[status], status, headers)(scope, receive, send)
 
 
 #: Time limit for the head of a request after the connection or the last answer, s.

@@ -262,6 +262,10 @@ class Jobs:
         if self._thread is not None:
             self._thread.join(10.0)
 
+    def _change(self, number: int, **values: Any) -> None:
+        with self._changed:
+            self._put(replace(self._jobs[number], **values))
+
     def _put(self, job: Job) -> None:
         self._jobs[job.number] = job
         self._version += 1
@@ -320,12 +324,10 @@ class Jobs:
             state = JobState.DONE if code in task.good else JobState.FAILED
             if job.state is JobState.CANCELLING and code != 0:
                 state = JobState.CANCELLED
-            ended = replace(job, state=state, progress="", share=None, ended_s=time.time())
-        if task.log is not None and ended.printed:
+        if task.log is not None and job.printed:
             with suppress(OSError):
-                write_atomic(task.log, "\n".join(ended.printed) + "\n")
-        with self._changed:
-            self._put(ended)
+                write_atomic(task.log, "\n".join(job.printed) + "\n")
+        self._change(number, state=state, progress="", share=None, ended_s=time.time())
 
     def _command(self, number: int, words: Sequence[str]) -> int:
         """Run a command to its end; its exit code."""
@@ -362,24 +364,19 @@ class Jobs:
         return code
 
     def _add_output(self, number: int, line: str, *, progress: bool) -> None:
-        with self._changed:
-            job = self._jobs[number]
-            if not progress:
-                self._put(replace(job, output=(*job.output, line)[-MOST_LINES:]))
-                return
-            counted = _COUNTED.search(line)
-            share = None if counted is None else int(counted[1]) / max(1, int(counted[2]))
-            self._put(replace(job, progress=line, share=share))
+        if not progress:
+            self._change(number, output=(*self._jobs[number].output, line)[-MOST_LINES:])
+            return
+        counted = _COUNTED.search(line)
+        share = None if counted is None else int(counted[1]) / max(1, int(counted[2]))
+        self._change(number, progress=line, share=share)
 
     def _add_error(self, number: int, text: str) -> None:
-        with self._changed:
-            job = self._jobs[number]
-            self._put(replace(job, errors=(*job.errors, json.loads(text))[-MOST_LINES:]))
+        errors = (*self._jobs[number].errors, json.loads(text))
+        self._change(number, errors=errors[-MOST_LINES:])
 
     def _read_printed(self, number: int, stream: IO[str]) -> None:
-        printed: deque[str] = deque(_lines(stream), MOST_LINES)
-        with self._changed:
-            self._put(replace(self._jobs[number], printed=tuple(printed)))
+        self._change(number, printed=tuple(deque(_lines(stream), MOST_LINES)))
 
 
 def _lines(stream: IO[str]) -> Iterator[str]:

@@ -47,7 +47,7 @@ class CheckedFile:
 
 
 class Lab:
-    """Workspace and jobs; use it as a context: its end ends the jobs."""
+    """Workspace and jobs."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -55,12 +55,6 @@ class Lab:
         self._right: deque[tuple[str, str, str]] = deque(maxlen=_RIGHT)
         self._promoting = threading.Lock()
         self._checking = threading.Lock()
-
-    def __enter__(self) -> Lab:
-        return self
-
-    def __exit__(self, *of_error: object) -> None:
-        self.jobs.__exit__()
 
     def check_effect(self, name: str, text: str) -> CheckedFile:
         """Check a typed effect as `cell effects --candidates` does, in a separate process.

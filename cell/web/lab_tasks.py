@@ -23,7 +23,7 @@ _EXAMPLE_SHEET = {
     "--thickness": 0.0001,
 }
 #: Pages that commands write for a study, by their served name.
-PAGES = ("look.html", "compare.html", "own.html", "diagnosis.html")
+PAGES = ("look.html", "compare.html", "own.html", "diagnosis.html", PREVIEW)
 _SHOWN = frozenset({0, 1})
 
 
@@ -205,6 +205,12 @@ class LabTasks:
 
     def _line(self, wanted: bool) -> tuple[str, ...]:
         return ("--config", str(self.config)) if wanted else ()
+
+
+def page_file(workspace: Workspace, study: str, page: str) -> Path:
+    """File of one of `PAGES`, which a command wrote for a study."""
+    folder = workspace.studies / study if page == PREVIEW else workspace.results(study)
+    return folder / page
 
 
 def _each(option: str, values: Sequence[str]) -> tuple[str, ...]:

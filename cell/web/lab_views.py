@@ -114,10 +114,7 @@ def error_bars(steps: Sequence[tuple[str, Data]], noise_m: float | None, t: Tran
     ]
     shown = [v for s in series for v in s["data"] if v] + [_mm(noise_m) or 1e-3]
     if noise_m:
-        line = {"yAxis": _mm(noise_m), "lineStyle": {"color": "#c2410c", "type": "dashed"}}
-        label = {"formatter": f"{t('Noise')} {_mm(noise_m)}", "position": "insideEndTop"}
-        data = [{**line, "label": label}]
-        series[0]["markLine"] = {"silent": True, "symbol": "none", "data": data}
+        series[0]["markLine"] = _noise_mark(_mm(noise_m), t)
     low = 10 ** _floor_log(min(shown) * 0.7)
     return {
         **_frame(t("Error, mm rms per coordinate")),
@@ -142,9 +139,7 @@ def falling_errors(errors: Sequence[Data], t: Translate) -> Option:
     least = [[n, round(mm, 4)] for n, mm in enumerate(itertools.accumulate(errors_mm, min))]
     steps = {**_line(t("Least so far"), least, _FITTED), "step": "end"}
     noise_mm = round(1e3 * float(errors[-1]["noise_m"]), 4)
-    label = {"formatter": f"{t('Noise')} {noise_mm}", "position": "insideEndTop"}
-    look = {"lineStyle": {"color": "#c2410c", "type": "dashed"}, "label": label}
-    steps["markLine"] = {"silent": True, "symbol": "none", "data": [{"yAxis": noise_mm, **look}]}
+    steps["markLine"] = _noise_mark(noise_mm, t)
     low, high = min(*errors_mm, noise_mm), max(errors_mm)
     scale: Option = {"type": "value", "min": round(0.8 * low, 4), "max": round(1.2 * high, 4)}
     if high > 10.0 * low:
@@ -305,6 +300,12 @@ def _line(name: str, points: list[list[float]], colour: str, *, dashed: bool = F
         "lineStyle": style,
         "itemStyle": {"color": colour},
     }
+
+
+def _noise_mark(noise_mm: float | None, t: Translate) -> Option:
+    label = {"formatter": f"{t('Noise')} {noise_mm}", "position": "insideEndTop"}
+    look = {"lineStyle": {"color": "#c2410c", "type": "dashed"}, "label": label}
+    return {"silent": True, "symbol": "none", "data": [{"yAxis": noise_mm, **look}]}
 
 
 def _frame(title: str) -> Option:

@@ -97,7 +97,7 @@ def serve(
     options: dict[str, Any] = dict(files)
     # uvicorn raises the signal again after it has closed: the open resources here must be closed
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with room.watch, room.lab:
+    with room.watch, room.lab.jobs:
         uvicorn.run(
             app,
             host=address[0],
@@ -367,12 +367,10 @@ def lab_routes(app: FastAPI, room: PagesContext) -> None:
         if not Visit(room, request.state.session, "", "en", str).has_role(Role.engineer):
             return Response(status_code=403)
         workspace = room.lab.workspace
-        path: Path | None = None
-        if is_name(name) and page in lab_tasks.PAGES:
-            path = workspace.results(name) / page
-        elif is_name(name) and page == lab_tasks.PREVIEW:
-            path = workspace.studies / name / page
-        if path is None or not path.is_file() or not workspace.inside(path):
+        if not is_name(name) or page not in lab_tasks.PAGES:
+            return Response(status_code=404)
+        path = lab_tasks.page_file(workspace, name, page)
+        if not path.is_file() or not workspace.inside(path):
             return Response(status_code=404)
         headers = {**SANDBOX, "cache-control": "no-store"}
         return FileResponse(path, media_type="text/html", headers=headers)

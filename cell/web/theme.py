@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,6 +96,34 @@ def columns(*named: tuple[str, str]) -> list[dict[str, Any]]:
     return [{"name": k, "label": title, "field": k, "align": "left"} for k, title in named]
 
 
+def card(title: str) -> ui.card:
+    """A card with a heading, to be filled within a `with`."""
+    with ui.card().classes("w-full") as made:
+        heading(title)
+    return made
+
+
+#: What a button calls.
+Act = Callable[..., Any] | None
+
+
+def filled(text: str, test: str, act: Act = None, icon: str | None = None) -> ui.button:
+    """A button of a main action; `test` is its name in tests."""
+    button = ui.button(text, icon=icon, color=BLUE, on_click=act)
+    return button.props(f"text-color=white data-test={test}")
+
+
+def outlined(text: str, test: str, act: Act = None, icon: str | None = None) -> ui.button:
+    """A button of another action."""
+    return ui.button(text, icon=icon, on_click=act).props(f"outline data-test={test}")
+
+
+def several_of(label: str, test: str, width: str = "w-full") -> ui.select:
+    """A choice of several names, which are set later."""
+    choice = ui.select([], label=label, multiple=True).classes(width)
+    return choice.props(f"use-chips data-test={test}")
+
+
 #: JavaScript: the number x with the decimal sign of the page's language.
 _IN_LANGUAGE = "x.toLocaleString(document.documentElement.lang, {maximumSignificantDigits: 6})"
 
@@ -144,8 +172,7 @@ async def confirmed(question: str, answer: str, t: Translate, test: str) -> bool
         ui.label(question)
         with ui.row():
             ui.button(t("Close"), on_click=lambda: dialog.submit(False)).props("outline")
-            yes = ui.button(answer, color=BLUE, on_click=lambda: dialog.submit(True))
-            yes.props(f"text-color=white data-test={test}")
+            filled(answer, test, lambda: dialog.submit(True))
     sure = bool(await dialog)
     dialog.delete()
     return sure

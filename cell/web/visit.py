@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from nicegui import run
+from nicegui import run, ui
 
 from cell.plant.client import Client
 from cell.plant.messages import Request
@@ -97,6 +97,13 @@ class Visit:
         if self.room.sessions is not None:
             session = self.room.sessions.renewed(self.session.key, used=used)
         return session is not None and session.user.role >= role
+
+    def stays(self, role: Role, *, used: bool = True) -> bool:
+        """As `has_role`; without it the page gives way to the login."""
+        if may := self.has_role(role, used=used):
+            return may
+        ui.navigate.to("/login")
+        return False
 
     def do(
         self,

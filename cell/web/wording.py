@@ -63,11 +63,6 @@ class Template:
         return tuple(parts_of(self.message))
 
     @cached_property
-    def translated_parts(self) -> tuple[str | Placeholder, ...]:
-        """Parts of the translation."""
-        return tuple(parts_of(self.translated))
-
-    @cached_property
     def literal(self) -> int:
         """Number of characters outside placeholders."""
         return sum(len(p) for p in self.parts if isinstance(p, str))
@@ -191,8 +186,8 @@ class _Search:
                 literal, untranslated = literal + part.literal, untranslated + part.untranslated
             else:
                 untranslated += (value,)
-        parts = (p if isinstance(p, str) else texts[p.name] for p in template.translated_parts)
-        return Translation(literal, "".join(parts), untranslated)
+        translated = _PLACE.sub(lambda place: texts[place[1]], template.translated)
+        return Translation(literal, translated, untranslated)
 
     def _split_text(self, text: str) -> Translation | None:
         """Translation of the first sentence, and of the rest."""

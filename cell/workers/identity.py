@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import os
 import platform
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -35,16 +35,11 @@ class WorkerIdentity:
 
     def differences(self, other: WorkerIdentity) -> list[str]:
         """Forbidden differences of another process, as `name theirs, here ours`."""
-        differences = [
-            f"{f.name} {getattr(other, f.name)}, here {getattr(self, f.name)}"
-            for f in fields(self)
-            if f.name in ("version", "code", "python")
-            and getattr(other, f.name) != getattr(self, f.name)
-        ]
+        names = ("version", "code", "python")
+        each = [(name, getattr(self, name), getattr(other, name)) for name in names]
         for (name, ours), (_, theirs) in zip(self.packages, other.packages, strict=True):
-            if ours != theirs:
-                differences.append(f"{name} {theirs}, here {ours}")
-        return differences
+            each.append((name, ours, theirs))
+        return [f"{name} {theirs}, here {ours}" for name, ours, theirs in each if ours != theirs]
 
 
 @cache

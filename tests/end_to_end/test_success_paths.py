@@ -144,11 +144,13 @@ TABLE: dict[str, Run | Served | ByTest] = {
         f"ada --role operate {USERS}", "ada: added", "users.json", "correct horse"
     ),
     "serve user remove": Run("ivo --users {users}", "ivo: removed"),
+    "serve user list": Run("--users {users}", "zoe: may engineer"),
     "opcua": Served("-c {plant} --runs {runs}"),
     "opcua user add": Run(
         f"ada --role operate -c {{plant}} {USERS}", "ada: added", "users.json", "correct horse"
     ),
     "opcua user remove": Run("eve -c {plant} --users {users}", "eve: removed"),
+    "opcua user list": Run("-c {plant} --users {users}", "zoe: may engineer"),
     "user add": Run(f"ada --role watch {USERS}", "ada: added", "users.json", "correct horse"),
     "user remove": Run("ida --users {users}", "ida: removed"),
     "user list": Run("--users {users}", "zoe: may engineer"),

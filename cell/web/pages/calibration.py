@@ -20,7 +20,7 @@ from cell.settings.loading import products_of
 from cell.settings.model import Settings
 from cell.web.guided import OpenQuestion, calibrate_command
 from cell.web.heartbeat import on_press
-from cell.web.theme import BLUE, GREEN, N_, RED, heading, table
+from cell.web.theme import BLUE, GREEN, N_, RED, card, table
 from cell.web.visit import Visit, do
 
 #: Titles of the calibrations.
@@ -124,7 +124,7 @@ def build(visit: Visit) -> None:
         words = t("The settings have no section `calibration`: camera.view is typed by hand.")
         ui.label(words).props("data-test=uncalibrated")
         return
-    _CalibrationPage(visit, settings).build()
+    _CalibrationPage(visit, settings)
 
 
 class _CalibrationPage:
@@ -135,9 +135,6 @@ class _CalibrationPage:
         self._updates: list[Callable[[], None]] = []
         self._ran = False
         self._question = OpenQuestion(visit.room.guided)
-
-    def build(self) -> None:
-        """Make the elements, and update them periodically."""
         self._guide()
         self._states()
         self._starts()
@@ -145,8 +142,7 @@ class _CalibrationPage:
         self._update()
 
     def _update(self) -> None:
-        if not self._visit.has_role(Role.engineer, used=False):
-            ui.navigate.to("/login")
+        if not self._visit.stays(Role.engineer, used=False):
             return
         for update in self._updates:
             update()
@@ -184,8 +180,7 @@ class _CalibrationPage:
 
     def _starts(self) -> None:
         t, room = self._t, self._visit.room
-        with ui.card().classes("w-full"):
-            heading(t("Calibrate anew"))
+        with card(t("Calibrate anew")):
             words = t("Needs the devices: end the cell first. The gripper moves within the limits.")
             ui.label(words)
             runs = ui.label(t("A cell runs now: end it first.")).classes("wrong")

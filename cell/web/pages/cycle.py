@@ -29,14 +29,15 @@ from cell.web.cycle_view import (
 from cell.web.jobs import OPEN, JobState
 from cell.web.lab_tasks import LabTasks, Subject
 from cell.web.theme import (
-    BLUE,
     LOOKS,
     N_,
     asset,
+    card,
     chart,
     confirmed,
-    heading,
+    filled,
     notify_refusal,
+    outlined,
     table,
 )
 from cell.web.views import PICTURES, step_word
@@ -83,8 +84,7 @@ def build(visit: Visit, name: str) -> None:
                 for tab, words in _TO_LAB.items():
                     link = ui.link(visit.t(words), f"/lab?study={name}&tab={tab}")
                     link.props(f"data-test=to-{tab}")
-                button = ui.button(visit.t("Replay"), icon="replay", on_click=page.replay)
-                button.props("outline dense data-test=replay")
+                outlined(visit.t("Replay"), "replay", page.replay, "replay").props("dense")
         page.place()
         ui.timer(0.01, page.fill, once=True)
 
@@ -168,8 +168,7 @@ class _CyclePage:
 
     def _film(self, view: CycleView, times: tuple[float, ...]) -> None:
         t = self._t
-        with ui.card().classes("w-full"):
-            heading(t("Film"))
+        with card(t("Film")):
             if view.no_film or not times:
                 reason = view.no_film or N_("the recording has no frames")
                 ui.label(t(reason)).classes("break-words").props("data-test=no-film")
@@ -189,8 +188,7 @@ class _CyclePage:
         slider.props(f'aria-label="{t("Time in the film")}" data-test=slider')
         slider.on("input", js_handler="(e) => { film.stop(); film.show(Number(e.target.value)); }")
         with ui.row().classes("items-center w-full"):
-            play = ui.button(t("Play, stop"), icon="play_arrow", color=BLUE)
-            play.props("text-color=white data-test=play")
+            play = filled(t("Play, stop"), "play", None, "play_arrow")
             play.on("click", js_handler="() => film.play()")
             ui.label(f"0.000 s · 1/{len(times)}").props("id=film-time data-test=time")
             ui.label(f"{t('slower than reality:')} {_SLOWER} ×").classes("quiet")
@@ -214,7 +212,7 @@ class _CyclePage:
                 self._show_retention.refresh()
 
             label = t("Keep no longer") if protected else t("Keep for good")
-            ui.button(label, on_click=keep).props("outline data-test=keep")
+            outlined(label, "keep", keep)
             if protected:
                 return
 
@@ -227,7 +225,7 @@ class _CyclePage:
                     )
                     await self.fill()
 
-            ui.button(t("Remove"), on_click=remove).props("outline data-test=remove")
+            outlined(t("Remove"), "remove", remove)
 
     async def _did(self, action: str, change: Callable[[Path], None]) -> None:
         def act() -> str:
@@ -250,8 +248,7 @@ class _CyclePage:
             (N_("Decision"), decision_chart(*view.decision, names)),
         ):
             if option:
-                with ui.card().classes("w-full"):
-                    heading(t(title))
+                with card(t(title)):
                     chart(option, "h-96").props(f'role=img aria-label="{t(title)}"')
 
     def _table(self, title: str, data: TableData | None) -> None:
@@ -282,8 +279,7 @@ class _CyclePage:
     def _pictures(self, view: CycleView) -> None:
         for picture in view.pictures:
             title = self._t(PICTURES.get(Path(picture).stem, Path(picture).stem))
-            with ui.card().classes("w-full"):
-                heading(title)
+            with card(title):
                 image = ui.element("img").classes("w-full")
                 image.props(f'src="/cycles/{self._name}/pictures/{picture}" loading=lazy')
                 image.props(f'alt="{title}"')

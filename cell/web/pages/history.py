@@ -52,7 +52,7 @@ def build(visit: Visit) -> None:
         product.classes("w-40").set_visibility(bool(made))
     message = ui.label().classes("whitespace-pre-line")
     reasons = ui.label().classes("whitespace-pre-line break-words").props("data-test=reasons")
-    LostTime(visit).build()
+    LostTime(visit)
     errors = chart({})
     heads = columns(
         ("started", t("Begun")),
@@ -78,8 +78,7 @@ def build(visit: Visit) -> None:
     table.add_slot("body-cell-started", _LINK)
 
     async def refresh() -> None:
-        if not visit.has_role(Role.watch):
-            ui.navigate.to("/login")
+        if not visit.stays(Role.watch):
             return
         since = datetime.now(UTC) - timedelta(days=days.value) if days.value else None
         outcomes = (outcome.value,) if outcome.value else ()

@@ -50,7 +50,7 @@ _BUTTONS = (
 
 def build(visit: Visit) -> None:
     """Fill the page."""
-    _Live(visit).build()
+    _Live(visit)
 
 
 class _Live:
@@ -59,9 +59,6 @@ class _Live:
     def __init__(self, visit: Visit) -> None:
         self._visit, self._t = visit, visit.t
         self._updates: list[Callable[[LiveView], None]] = []
-
-    def build(self) -> None:
-        """Make the elements, and update them periodically."""
         ui.add_css(asset("live.css"))
         heading = ui.label(self._t("Live")).classes("unseen")
         heading.props("role=heading aria-level=1")
@@ -80,8 +77,7 @@ class _Live:
         self._update()
 
     def _update(self) -> None:
-        if not self._visit.has_role(Role.watch, used=False):
-            ui.navigate.to("/login")
+        if not self._visit.stays(Role.watch, used=False):
             return
         view = live_view(self._visit.room.watch.state, time.time())
         for update in self._updates:

@@ -114,9 +114,6 @@ class LostTime:
 
     def __init__(self, visit: Visit) -> None:
         self._visit, self._t = visit, visit.t
-
-    def build(self) -> None:
-        """Make the elements, and fill them."""
         t = self._t
         with ui.card().classes("w-full overflow-x-auto"):
             with ui.row().classes("items-center w-full justify-between"):
@@ -130,8 +127,7 @@ class LostTime:
         ui.timer(0.05, self._refresh, once=True)
 
     async def _refresh(self) -> None:
-        if not self._visit.has_role(Role.watch):
-            ui.navigate.to("/login")
+        if not self._visit.stays(Role.watch):
             return
         result = await run.io_bound(losses_since, self._visit, int(self._days.value or 0))
         if result is None:

@@ -15,7 +15,7 @@ from cell.plant.users import Role
 from cell.settings.entries import SettingsEntry, SettingsForm
 from cell.settings.promotion import ChangedMeanwhileError, read_exactly, replace_settings, versions
 from cell.web.draft import Draft, differences, value_text
-from cell.web.theme import BLUE, Unsaved, heading, notify_refusal
+from cell.web.theme import Unsaved, card, filled, heading, notify_refusal, outlined
 from cell.web.visit import Visit
 from cell.web.wording import Translate
 
@@ -186,7 +186,7 @@ def build(visit: Visit) -> None:
         ui.label(str(error)).classes("whitespace-pre-wrap break-words wrong")
         ui.label(t("Edit the file by hand, then load this page again."))
         return
-    _SettingsPage(visit, Draft(config, text)).build()
+    _SettingsPage(visit, Draft(config, text))
 
 
 class _SettingsPage:
@@ -198,17 +198,13 @@ class _SettingsPage:
         self._unsaved = Unsaved("settings")
         self._shown = 0
         self._problems: Sequence[tuple[str, str]] = ()
-
-    def build(self) -> None:
-        """Make the elements."""
         t = self._t
         self._rows.build_fields()
         with ui.card().classes("w-full sticky-card"):
             self._state = ui.label().classes("text-lg").props("role=status data-test=checked")
             self._general = ui.label().classes("whitespace-pre-line break-words wrong")
             with ui.row():
-                show = ui.button(t("Show differences"), on_click=self._differences, color=BLUE)
-                show.props("text-color=white data-test=differences")
+                filled(t("Show differences"), "differences", self._differences)
                 self._discard = ui.button(
                     t("Discard"), on_click=lambda: self._load(self._draft.base)
                 ).props("outline")
@@ -221,7 +217,7 @@ class _SettingsPage:
         ui.timer(0.01, self._check, once=True)
 
     async def _entered(self, entry: SettingsEntry, text: str) -> None:
-        if not self._allowed():
+        if not self._visit.stays(Role.engineer):
             return
         present = next((e for e in self._draft.entries() if e.key == entry.key), entry)
         try:
@@ -256,12 +252,6 @@ class _SettingsPage:
         self._discard.set_enabled(is_typed)
         self._unsaved.set(is_typed)
 
-    def _allowed(self) -> bool:
-        if self._visit.has_role(Role.engineer):
-            return True
-        ui.navigate.to("/login")
-        return False
-
     def _load(self, text: str) -> None:
         self._draft = Draft(self._draft.config, text)
         self._fill()
@@ -283,7 +273,7 @@ class _SettingsPage:
             _diff(differences(before, after, self._draft.config.name))
             ui.label(t("A running cell takes changes up at its next start."))
             with ui.row():
-                write = ui.button(t("Write"), color=BLUE).props("text-color=white data-test=write")
+                write = filled(t("Write"), "write")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
 
         async def written() -> None:
@@ -358,15 +348,14 @@ class _SettingsPage:
         saved = versions(config)[:_VERSIONS]
         if not saved:
             return
-        with ui.card().classes("w-full"):
-            heading(t("Earlier versions"))
+        with card(t("Earlier versions")):
             names = {str(p): _version(p) for p in saved}
             chosen = ui.select(names, value=str(saved[0]), label=t("Replaced at"))
             chosen.classes("w-full")
 
             def back() -> None:
                 file = Path(str(chosen.value))
-                if file not in saved or not self._allowed():
+                if file not in saved or not self._visit.stays(Role.engineer):
                     return
                 try:
                     present, former = read_exactly(config), read_exactly(file)
@@ -375,7 +364,7 @@ class _SettingsPage:
                     return
                 self._confirm(present, former, f"as in {file.name}")
 
-            ui.button(t("Go back to this version"), on_click=back).props("outline data-test=back")
+            outlined(t("Go back to this version"), "back", back)
 
 
 def _version(file: Path) -> str:

@@ -78,9 +78,9 @@ def test_off_a_terminal_a_line_is_printed_at_every_tick(capsys) -> None:
         asked.append(seconds)
         return len(asked) > 2
 
-    Ticker(lambda: f"at work {len(asked)}", 10.0, wait).close()
+    Ticker(lambda: f"at work {len(asked)}", 10.0, wait).stop()
     ticker = Ticker(lambda: "", 10.0, wait)  # nothing to say, nothing printed
-    ticker.close()
+    ticker.stop()
     assert set(asked) == {10.0}
     out, err = capsys.readouterr()
     assert out == ""
@@ -98,7 +98,7 @@ def test_whoever_starts_a_command_may_ask_for_more_lines(monkeypatch, asked, eve
         waited.append(seconds)
         return True
 
-    Ticker(lambda: "", None, wait).close()
+    Ticker(lambda: "", None, wait).stop()
     assert waited == [every_s or progress.EVERY_S]
 
 

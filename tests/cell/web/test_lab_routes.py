@@ -77,7 +77,7 @@ class Served:
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Served]:
     served = Served(tmp_path / "runs")
-    with served.room.lab:
+    with served.room.lab.jobs:
         yield served
 
 

@@ -33,7 +33,7 @@ def build(visit: Visit) -> None:
         study.chooser(desk)
         again = ui.button(icon="refresh", on_click=desk.changed).props("flat round")
         again.props(f'data-test=reload aria-label="{t("Read again")}"').tooltip(t("Read again"))
-    Strip(desk).build()
+    Strip(desk)
     with ui.tabs().classes("w-full").props("align=left inline-label no-caps") as tabs:
         for name, title, icon, _ in _TABS:
             ui.tab(name, t(title), icon).props(f"data-test=tab-{name}")
@@ -44,7 +44,7 @@ def build(visit: Visit) -> None:
     ):
         for name, _, _, part in _TABS:
             with ui.tab_panel(name).classes("p-0 gap-4"):
-                part(desk).build()
+                part(desk)
     ui.timer(0.05, desk.begin, once=True)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
@@ -10,8 +9,16 @@ from nicegui import run, ui
 from cell.cable.effects import library
 from cell.web.lab_tasks import BASELINE
 from cell.web.lab_views import PLACES, Data, failing_places, model_errors, read_result, trials_of
-from cell.web.pages.lab.desk import Desk, NeedsStudy, first_lines, frame, output, set_names
-from cell.web.theme import BLUE, chart, heading, show_option
+from cell.web.pages.lab.desk import (
+    Desk,
+    NeedsStudy,
+    ShownFiles,
+    first_lines,
+    frame,
+    output,
+    set_names,
+)
+from cell.web.theme import card, chart, filled, several_of, show_option
 from cell.web.workspace import is_name
 
 
@@ -21,27 +28,18 @@ class ModelsPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
         self._needs_study = NeedsStudy(desk)
-
-    def build(self) -> None:
-        """Make the elements."""
         t = self._t
         with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-2 gap-4"):
-            with ui.card().classes("w-full"):
-                heading(t("Fit a model"))
+            with card(t("Fit a model")):
                 self._name = ui.input(t("Name"), value=BASELINE).classes("w-full")
                 self._name.props("maxlength=60 data-test=model-name")
-                self._effects = ui.select([], label=t("Effects in it"), multiple=True)
-                self._effects.classes("w-full").props("use-chips data-test=model-effects")
+                self._effects = several_of(t("Effects in it"), "model-effects")
                 self._line = ui.checkbox(t("Start from the line's model"))
-                button = ui.button(t("Fit"), icon="tune", color=BLUE, on_click=self._fit)
-                button.props("text-color=white data-test=fit")
+                button = filled(t("Fit"), "fit", self._fit, "tune")
                 self._needs_study.of(button)
-            with ui.card().classes("w-full"):
-                heading(t("Compare models"))
-                self._models = ui.select([], label=t("Models, in order"), multiple=True)
-                self._models.classes("w-full").props("use-chips data-test=models")
-                button = ui.button(t("Compare"), icon="compare", color=BLUE)
-                button.on_click(self._compare).props("text-color=white data-test=compare")
+            with card(t("Compare models")):
+                self._models = several_of(t("Models, in order"), "models")
+                button = filled(t("Compare"), "compare", self._compare, "compare")
         self._shown = ComparePanel(self._desk, "compare")
         self._desk.listen(self._refresh)
 
@@ -76,16 +74,14 @@ class ComparePanel:
 
     def __init__(self, desk: Desk, name: str) -> None:
         self._desk, self._t, self._file = desk, desk.t, name
-        self._displayed: tuple[Path, int] | None = None
+        self._shown = ShownFiles()
         self._place = ui.column().classes("w-full gap-4").props(f"data-test=shown-{name}")
 
     async def refresh(self) -> None:
         """Show its present state on the disk."""
         path = self._desk.result(f"{self._file}.json")
-        stamp = None if path is None or not path.exists() else (path, path.stat().st_mtime_ns)
-        if stamp == self._displayed:
+        if not self._shown.changed([] if path is None else [path]):
             return
-        self._displayed = stamp
         data = None if path is None else await run.io_bound(read_result, path)
         self._place.clear()
         if data is not None:
@@ -99,13 +95,9 @@ class ComparePanel:
             for line in first_lines(log):
                 ui.label(line).classes("break-words text-lg").props("data-test=sentence")
             chart(model_errors(data, t), "h-72").props("data-test=errors")
-            page = desk.result(f"{self._file}.html")
-            if page is not None:
-                title = t("Every trial with a time slider")
-                frame(desk, f"{self._file}.html", title, page)
+            frame(desk, f"{self._file}.html", t("Every trial with a time slider"))
             output(t("As the command prints it"), log)
-        with ui.card().classes("w-full"):
-            heading(t("Where they fail"))
+        with card(t("Where they fail")):
             trials = trials_of(data)
             trial = ui.select(trials, value=trials[0], label=t("Trial")).classes("w-64")
             with ui.element("div").classes("w-full grid grid-cols-1 lg:grid-cols-3 gap-4"):

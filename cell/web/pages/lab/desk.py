@@ -13,7 +13,7 @@ from nicegui import ui
 from cell.plant.users import Role
 from cell.web.cycle_view import cycle_folder
 from cell.web.jobs import JobTask
-from cell.web.lab_tasks import PREVIEW, LabTasks, Subject
+from cell.web.lab_tasks import LabTasks, Subject, page_file
 from cell.web.theme import N_, notify_refusal
 from cell.web.visit import Visit, do
 from cell.web.workspace import is_name
@@ -152,6 +152,19 @@ def set_names(choice: ui.select, names: Sequence[str]) -> None:
     choice.set_options(list(names), value=[n for n in choice.value or [] if n in names])
 
 
+class ShownFiles:
+    """The files that a part of the page shows, as they were when it was filled."""
+
+    def __init__(self) -> None:
+        self._stamps: list[tuple[Path, int]] | None = None
+
+    def changed(self, files: Sequence[Path]) -> bool:
+        """Whether one of them has changed, is new or is gone since the last call."""
+        before = self._stamps
+        self._stamps = [(p, p.stat().st_mtime_ns) for p in files if p.exists()]
+        return self._stamps != before
+
+
 class NeedsStudy:
     """Buttons that are disabled without a study, and the sentence with the reason."""
 
@@ -175,12 +188,13 @@ class NeedsStudy:
             button.set_enabled(is_ready)
 
 
-def frame(desk: Desk, page: str, title: str, path: Path, *, opened: bool = False) -> None:
-    """A page that a command wrote, in a sandboxed frame."""
+def frame(desk: Desk, page: str, title: str, *, opened: bool = False) -> None:
+    """A page that a command wrote of the chosen study, in a sandboxed frame."""
     subject = desk.subject
-    if subject is None or not path.is_file():
+    if subject is None:
         return
-    if page == PREVIEW and subject.is_cycle:
+    path = page_file(desk.workspace, subject.name, page)
+    if not path.is_file():
         return
     address = f"/lab/results/{subject.name}/{page}?v={path.stat().st_mtime_ns}"
     with ui.expansion(title, icon="insights", value=opened).classes("w-full") as expansion:

@@ -21,13 +21,23 @@ from cell.web.lab_views import (
 from cell.web.pages.lab.desk import (
     Desk,
     NeedsStudy,
+    ShownFiles,
     first_lines,
     frame,
     output,
     printed,
     set_names,
 )
-from cell.web.theme import BLUE, chart, columns, heading, manual_page
+from cell.web.theme import (
+    card,
+    chart,
+    columns,
+    filled,
+    heading,
+    manual_page,
+    outlined,
+    several_of,
+)
 
 _PASSED = """
 <q-td :props="props">
@@ -52,25 +62,17 @@ class DiagnosePanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-        self._displayed: tuple[object, ...] = ()
+        self._files = ShownFiles()
         self._needs_study = NeedsStudy(desk)
-
-    def build(self) -> None:
-        """Make the elements."""
         t = self._t
-        with ui.card().classes("w-full"):
-            heading(t("What does the model lack?"))
+        with card(t("What does the model lack?")):
             with ui.element("div").classes("w-full grid grid-cols-1 md:grid-cols-2 gap-4"):
-                self._tried = ui.select([], label=t("Own effects, tried too"), multiple=True)
-                self._tried.props("use-chips data-test=tried")
-                self._known = ui.select([], label=t("Known: part of the model"), multiple=True)
-                self._known.props("use-chips data-test=known")
+                self._tried = several_of(t("Own effects, tried too"), "tried", width="")
+                self._known = several_of(t("Known: part of the model"), "known", width="")
             self._line = ui.checkbox(t("Start from the line's model"))
             with ui.row():
-                diagnose = ui.button(t("Diagnose"), icon="troubleshoot", color=BLUE)
-                diagnose.on_click(self._diagnose).props("text-color=white data-test=diagnose")
-                suggest = ui.button(t("Suggest the next motion"), icon="route")
-                suggest.on_click(self._suggest).props("outline data-test=suggest")
+                diagnose = filled(t("Diagnose"), "diagnose", self._diagnose, "troubleshoot")
+                suggest = outlined(t("Suggest the next motion"), "suggest", self._suggest, "route")
                 self._needs_study.of(diagnose, suggest)
         self._place = ui.column().classes("w-full gap-4").props("data-test=diagnosis")
         self._desk.listen(self._refresh)
@@ -99,10 +101,8 @@ class DiagnosePanel:
         set_names(self._known, [*own, *library()])
         names = ("diagnosis.json", "motion.yaml", "suggest.txt")
         files = [p for name in names if (p := self._desk.result(name)) is not None]
-        stamps = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
-        if stamps == self._displayed:
+        if not self._files.changed(files):
             return
-        self._displayed = stamps
         data = await run.io_bound(read_result, files[0]) if files else None
         self._place.clear()
         with self._place:
@@ -127,16 +127,13 @@ class DiagnosePanel:
                     words = f"{effect}: {t('law, limits and remedy')}"
                     ui.link(words, f"{entry}#{effect}", new_tab=True)
             chart(error_steps(data, t), "h-72").props("data-test=falling")
-            page = desk.result("diagnosis.html")
-            if page is not None:
-                frame(desk, "diagnosis.html", t("Report with the evidence"), page)
+            frame(desk, "diagnosis.html", t("Report with the evidence"))
             output(t("As the command prints it"), log)
         with ui.element("div").classes("w-full grid grid-cols-1 xl:grid-cols-3 gap-4"):
             with ui.card().classes("w-full xl:col-span-2"):
                 heading(t("Checks"))
                 self._checks(data)
-            with ui.card().classes("w-full"):
-                heading(t("Effects, each alone"))
+            with card(t("Effects, each alone")):
                 heads = columns(
                     ("effect", t("Effect")),
                     ("score", t("χ² explained")),
@@ -186,9 +183,7 @@ class DiagnosePanel:
                 desk.ask(task, asked_s)
 
             with ui.row():
-                button = ui.button(t("Measure now"), color=BLUE)
+                button = filled(t("Measure now"), "measure-now")
                 on_press(desk.visit.heartbeats, button, t("Measure now"), measure)
-                button.props("text-color=white data-test=measure-now")
                 ui.button(t("Close"), on_click=dialog.close).props("outline")
-        button = ui.button(t("Measure"), icon="straighten", on_click=dialog.open)
-        button.props("outline data-test=measure")
+        outlined(t("Measure"), "measure", dialog.open, "straighten")

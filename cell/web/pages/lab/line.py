@@ -11,8 +11,8 @@ from nicegui import run, ui
 from cell.files.input_error import InputError
 from cell.settings.promotion import history_of, section_of
 from cell.web.lab_views import candidate_table
-from cell.web.pages.lab.desk import Desk, first_lines, output, set_names
-from cell.web.theme import BLUE, confirmed, heading
+from cell.web.pages.lab.desk import Desk, ShownFiles, first_lines, output, set_names
+from cell.web.theme import card, confirmed, filled, outlined, several_of
 from cell.web.workspace import is_name
 
 #: Number of candidates that are shown side by side, the newest.
@@ -24,31 +24,22 @@ class LinePanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-        self._displayed: tuple[object, ...] = (None,)
-
-    def build(self) -> None:
-        """Make the elements."""
+        self._files = ShownFiles()
         t = self._t
-        with ui.card().classes("w-full"):
-            heading(t("Learn from recorded cables"))
+        with card(t("Learn from recorded cables")):
             with ui.row().classes("items-center w-full gap-4"):
                 self._name = ui.input(t("Name of the candidate")).classes("w-64")
                 self._name.props("maxlength=60 data-test=candidate-name")
                 self._name.value = f"candidate_{datetime.now():%Y%m%d_%H%M}"
-                self._own = ui.select([], label=t("Own effects, tried too"), multiple=True)
-                self._own.classes("w-64").props("use-chips")
+                self._own = several_of(t("Own effects, tried too"), "learn-own", width="w-64")
                 self._selected = ui.checkbox(t("Only the cycles selected under Study"))
-            button = ui.button(t("Learn"), icon="school", color=BLUE, on_click=self._learn)
-            button.props("text-color=white data-test=learn")
-        with ui.card().classes("w-full"):
-            heading(t("Candidates"))
+            filled(t("Learn"), "learn", self._learn, "school")
+        with card(t("Candidates")):
             self._place = ui.column().classes("w-full").props("data-test=candidates")
-        with ui.card().classes("w-full"):
-            heading(t("The line's model"))
+        with card(t("The line's model")):
             self._model = ui.label().classes("whitespace-pre-wrap font-mono text-sm break-words")
             self._model.props("data-test=line-model")
-            self._undo_button = ui.button(t("Undo the last promotion"), icon="undo")
-            self._undo_button.on_click(self._undo).props("outline data-test=undo")
+            self._undo_button = outlined(t("Undo the last promotion"), "undo", self._undo, "undo")
             ui.label(t("A cell that runs uses its model until it is started anew."))
         self._desk.listen(self._refresh)
 
@@ -74,11 +65,8 @@ class LinePanel:
         names = [n for n in desk.workspace.names(folder, ".yaml") if not n.endswith("_motion")]
         paths = {name: folder / f"{name}.yaml" for name in names[:_SHOWN]}
         logs = [folder / f"{n}.txt" for n in desk.workspace.names(folder, ".txt")[:_SHOWN]]
-        files = (*paths.values(), *logs, desk.visit.room.config)
-        stamps = tuple((p, p.stat().st_mtime_ns) for p in files if p.exists())
-        if stamps == self._displayed:
+        if not self._files.changed([*paths.values(), *logs, desk.visit.room.config]):
             return
-        self._displayed = stamps
         self._model.text = await run.io_bound(model_text, desk.visit.room.config) or ""
         self._undo_button.set_enabled(former_models(desk.visit.room.config) > 0)
         table = await run.io_bound(candidate_table, paths, self._t)

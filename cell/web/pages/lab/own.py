@@ -16,7 +16,7 @@ from cell.web.lab import CheckedFile
 from cell.web.lab_views import fitted_lines, read_result
 from cell.web.pages.lab.compare import ComparePanel
 from cell.web.pages.lab.desk import Desk, NeedsStudy, output, set_names
-from cell.web.theme import BLUE, Unsaved, heading
+from cell.web.theme import Unsaved, card, filled, outlined, several_of
 from cell.web.visit import do
 
 #: Pause in typing after which a text is checked, s.
@@ -57,13 +57,9 @@ class OwnEffectPanel:
         self._saved_text = TEMPLATE
         self._unsaved = Unsaved("effect")
         self._needs_study = NeedsStudy(desk)
-
-    def build(self) -> None:
-        """Make the elements."""
         t = self._t
         ui.add_css(_CSS)
-        with ui.card().classes("w-full"):
-            heading(t("Write an effect"))
+        with card(t("Write an effect")):
             with ui.row().classes("items-center w-full gap-4"):
                 self._saved = ui.select([], label=t("Open")).classes("w-64")
                 self._saved.props("data-test=open-effect").on_value_change(self._open)
@@ -80,12 +76,11 @@ class OwnEffectPanel:
                 self._check_output.props("role=status data-test=checked")
             ui.label(t("A law may only compute: math, numpy, and what an effect is made of."))
             with ui.row().classes("items-center w-full gap-4"):
-                self._shared = ui.select([], label=t("Also in both models"), multiple=True)
-                self._shared.classes("w-64").props("use-chips data-test=shared")
-                button = ui.button(t("Save and fit"), icon="auto_graph", color=BLUE)
-                button.on_click(self._fit).props("text-color=white data-test=fit-own")
-                infer = ui.button(t("Infer a law from the error"), icon="psychology")
-                infer.on_click(self._infer).props("outline data-test=infer")
+                self._shared = several_of(t("Also in both models"), "shared", width="w-64")
+                button = filled(t("Save and fit"), "fit-own", self._fit, "auto_graph")
+                infer = outlined(
+                    t("Infer a law from the error"), "infer", self._infer, "psychology"
+                )
                 self._needs_study.of(button, infer)
             self._inferred = ui.column().classes("w-full")
         self._fitted = ui.label().classes("font-mono whitespace-pre-line break-words")

@@ -10,7 +10,7 @@ from cell.plant.users import Role
 from cell.web.jobs import OPEN, Job, JobState
 from cell.web.lab_views import falling_errors
 from cell.web.pages.lab.desk import Desk
-from cell.web.theme import AMBER, BLUE, GREEN, N_, RED, chart, show_option
+from cell.web.theme import AMBER, BLUE, GREEN, N_, RED, chart, outlined, show_option
 
 _EVERY_S = 0.4
 _WORDS = {
@@ -32,9 +32,6 @@ class Strip:
         self._desk, self._t = desk, desk.t
         self._version = -1
         self._ended = self._ended_jobs()
-
-    def build(self) -> None:
-        """Make the elements and keep them up to date."""
         with ui.card().classes("w-full gap-2 p-3") as self._card:
             self._card.props("data-test=jobs role=status")
             self._rows = [_StripRow(self._desk) for _ in range(_SHOWN)]
@@ -43,8 +40,7 @@ class Strip:
         self._show()
 
     async def _update(self) -> None:
-        if not self._desk.visit.has_role(Role.engineer, used=False):
-            ui.navigate.to("/login")
+        if not self._desk.visit.stays(Role.engineer, used=False):
             return
         if self._version == self._desk.lab.jobs.version:
             return
@@ -78,8 +74,8 @@ class _StripRow:
                 self._icon = ui.icon("sync").classes("text-2xl")
                 self._what = ui.label().classes("font-bold").props("data-test=job")
                 self._progress = ui.label().classes("grow").props("data-test=progress")
-                self._cancel = ui.button(desk.t("Cancel"), icon="stop", on_click=self._cancelled)
-                self._cancel.props("outline dense data-test=cancel")
+                self._cancel = outlined(desk.t("Cancel"), "cancel", self._cancelled, "stop")
+                self._cancel.props("dense")
             self._bar = ui.linear_progress(0.0, show_value=False, size="6px")
             self._errors = chart({}, "h-56").props("data-test=fit-errors")
             self._output = ui.label().classes("whitespace-pre-line break-words text-sm")

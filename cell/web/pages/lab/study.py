@@ -16,7 +16,7 @@ from cell.web.cycle_view import cycle_folder
 from cell.web.guard import MOST_BYTES
 from cell.web.lab_tasks import MAPPING, PREVIEW, Subject
 from cell.web.pages.lab.desk import Desk, frame, notes_after_tables, output
-from cell.web.theme import BLUE, N_, asset, columns, heading
+from cell.web.theme import N_, asset, card, columns, filled, heading, outlined, several_of
 from cell.web.views import history_row
 from cell.web.visit import do
 from cell.web.watching import read_ledger
@@ -124,20 +124,15 @@ class StudyPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-        self._cycles = _Cycles(desk)
-
-    def build(self) -> None:
-        """Make the elements."""
         with ui.card().classes("w-full") as self._card:
             self._shown = ui.column().classes("w-full")
         with ui.card().classes("w-full") as self._begin:
             self._ways()
-        with ui.card().classes("w-full"):
-            heading(self._t("Upload"))
+        with card(self._t("Upload")):
             drop_zone(self._desk, self._uploaded)
             self._form = _ImportForm(self._desk)
         with ui.card().classes("w-full"):
-            self._cycles.build()
+            self._cycles = _Cycles(desk)
         self._desk.listen(self._refresh)
 
     def _ways(self) -> None:
@@ -151,7 +146,7 @@ class StudyPanel:
                     ui.label(t(takes)).classes("grow")
                     button = ui.button(t(word), icon=icon).props(f"outline data-test=way-{name}")
                 if name == "cycles":
-                    button.on_click(self._cycles.open)
+                    button.on_click(lambda: self._cycles.open())
                 elif name == "files":
                     choose = "() => document.querySelector('[data-test=upload-files]').click()"
                     button.on("click", js_handler=choose)
@@ -187,12 +182,12 @@ class StudyPanel:
             label = ui.label("\n".join(line for line in lines if not line.endswith(_PICTURES)))
             label.classes("break-words whitespace-pre-wrap").props("data-test=look-said")
             output(self._t("As the command prints it"), log)
-            page = desk.result("look.html")
-            if page is not None:
-                frame(desk, "look.html", self._t("Pictures of every trial"), page, opened=True)
-            look = ui.button(self._t("Look at it"), icon="visibility")
-            look.on_click(lambda: desk.ask(desk.tasks.show_study(subject)))
-            look.props("outline data-test=look")
+            frame(desk, "look.html", self._t("Pictures of every trial"), opened=True)
+
+            def look() -> None:
+                desk.ask(desk.tasks.show_study(subject))
+
+            outlined(self._t("Look at it"), "look", look, "visibility")
 
     def _mapping(self, subject: Subject) -> None:
         """The proposed mapping, to be checked and edited."""
@@ -204,7 +199,7 @@ class StudyPanel:
             ui.label(str(error))
             return
         output(t("What was understood"), subject.folder / "import.txt")
-        frame(desk, PREVIEW, t("Preview"), subject.folder / PREVIEW)
+        frame(desk, PREVIEW, t("Preview"))
         ui.label(t("Check the mapping; what is missing is marked null."))
         editor = ui.codemirror(text, language="YAML", theme=desk.editor_theme).classes("w-full")
         editor.style("height: 26rem").props("data-test=mapping")
@@ -214,8 +209,7 @@ class StudyPanel:
             if await do(desk.visit, "lab mapping", Role.engineer, save, subject.name):
                 desk.ask(desk.tasks.write_study(subject))
 
-        button = ui.button(t("Make the study"), icon="done", color=BLUE, on_click=write)
-        button.props("text-color=white data-test=write-study")
+        filled(t("Make the study"), "write-study", write, "done")
 
 
 class _ImportForm:
@@ -233,10 +227,8 @@ class _ImportForm:
                     entry = ui.number(f"{t(words)}, {unit}", min=0).classes("w-48")
                     entry.props(f"data-test=entry{key}")
                     self._entries[key] = (entry, size)
-            self._logs = ui.select([], label=t("Files of the gripper, if apart"), multiple=True)
-            self._logs.classes("w-full").props("use-chips")
-            button = ui.button(t("Propose a mapping"), icon="table_view", color=BLUE)
-            button.props("text-color=white data-test=propose").on_click(self._propose)
+            self._logs = several_of(t("Files of the gripper, if apart"), "gripper-logs")
+            filled(t("Propose a mapping"), "propose", self._propose, "table_view")
         self._place.set_visibility(False)
 
     def show(self, upload: str, files: list[str]) -> None:
@@ -269,9 +261,6 @@ class _Cycles:
 
     def __init__(self, desk: Desk) -> None:
         self._desk, self._t = desk, desk.t
-
-    def build(self) -> None:
-        """Make the elements; the cycles are read when they are shown."""
         t = self._t
         self._place = ui.expansion(t("Recorded cycles"), icon="history").classes("w-full")
         with self._place.props("data-test=cycles-open"):
@@ -288,10 +277,8 @@ class _Cycles:
             self._table.props(f'data-test=cycles rows-per-page-label="{t("Rows")}"')
             self._table.on_select(self._selected)
             with ui.row():
-                use = ui.button(t("Work on this cycle"), icon="check", on_click=self._use)
-                use.props("outline data-test=use-cycle")
-                gather = ui.button(t("Gather into one study"), icon="merge", on_click=self._gather)
-                gather.props("outline data-test=gather")
+                outlined(t("Work on this cycle"), "use-cycle", self._use, "check")
+                outlined(t("Gather into one study"), "gather", self._gather, "merge")
             ui.label(t("Gather cycles of one cable: the first is fitted to, the others held out."))
         self._place.on_value_change(self._opened)
 
