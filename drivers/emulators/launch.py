@@ -37,13 +37,12 @@ class EmulatedController:
         host: str,
         version: str = "5.12.2.1101534",
         model: str = "UR5e",
-        time_scale: float = 1.0,
         start_rad: FloatArray | None = None,
     ) -> None:
         self.host = host
         self.version = version
         self._command = [sys.executable, "-m", "drivers.emulators.ur_server", "--host", host]
-        self._command += ["--version", version, "--model", model, "--time-scale", str(time_scale)]
+        self._command += ["--version", version, "--model", model]
         if start_rad is not None:
             self._command += ["--start-rad=" + ",".join(f"{q:.12g}" for q in start_rad)]
         self._process: subprocess.Popen[str] | None = None

@@ -6,8 +6,9 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import IntEnum, StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -64,14 +65,12 @@ _ROBOT_MODES = {_POWER_OFF: "POWER_OFF", _IDLE: "IDLE", _RUNNING: "RUNNING"}
 class ControllerOptions:
     """Properties of the emulated controller.
 
-    version     PolyScope version: major, minor, bugfix, build
-    time_scale  controller seconds per real second
-    start_rad   joints at which the arm stands at first
+    version    PolyScope version: major, minor, bugfix, build
+    start_rad  joints at which the arm stands at first
     """
 
     version: tuple[int, int, int, int] = (5, 12, 2, 1101534)
     model: UrModel = UR5E
-    time_scale: float = 1.0
     serial_number: str = "20225500001"
     start_rad: tuple[float, ...] = HOME_RAD
 
@@ -114,7 +113,6 @@ class Controller:
         self.dashboard_lines = 0
         self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion
         self._servo_s: float | None = None
-        self._step_s = CYCLE_S * options.time_scale
         self._script: ControlScript | None = None
         self._uploaded: tuple[float, int] | None = None  # when it starts, register offset
         self._coasting: Decelerate | None = None
@@ -131,13 +129,13 @@ class Controller:
 
     def tick(self) -> None:
         """One controller cycle."""
-        self.time_s += self._step_s
+        self.time_s += CYCLE_S
         if self._uploaded is not None and self.time_s >= self._uploaded[0]:
             self._start(self._uploaded[1])
         if self._script is not None and self.runtime is Runtime.PLAYING:
             self._run_script(self._script)
         elif self._coasting is not None:
-            if not self._coasting.step(self.joints, self._step_s):
+            if not self._coasting.step(self.joints, CYCLE_S):
                 self._coasting = None
         else:
             self.joints.rest()
@@ -146,12 +144,12 @@ class Controller:
 
     def miss(self, cycles: int) -> None:
         """Let time pass without doing anything: a controller's clock does not wait for it."""
-        self.time_s += cycles * self._step_s
+        self.time_s += cycles * CYCLE_S
         self.note(f"{cycles} cycles missed: this computer is too busy")
 
     def _run_script(self, script: ControlScript) -> None:
         try:
-            if not script.cycle(self._step_s):
+            if not script.cycle(CYCLE_S):
                 self.end_program("stopped by command")
                 return
         except ScriptError as error:
@@ -305,6 +303,27 @@ class Controller:
         if at[0] is not self._posed_at[0] or at[1] is not self._posed_at[1]:
             self._posed_at, self._posed = at, pose_of(self.joints.tool()).tolist()
         return self._posed
+
+    def report(self) -> dict[str, Any]:
+        """State for tests: what an observer sees, and what has happened."""
+        return {
+            "t_s": time.monotonic(),
+            "q_rad": self.joints.q_rad.tolist(),
+            "pose": self.pose(),
+            "speed": self.joints.tool_speed().tolist(),
+            "runtime": self.runtime.name,
+            "safety": self.safety.value,
+            "last_moved_s": self.last_moved_s,
+            "servo_writes": self.servo_writes,
+            "dashboard_lines": self.dashboard_lines,
+            "events": [asdict(event) for event in self.events],
+        }
+
+    def take_servo_gaps(self) -> list[float]:
+        """Times between two writes of a motion since the last call, s."""
+        gaps_s = list(self.servo_gaps_s)
+        self.servo_gaps_s.clear()
+        return gaps_s
 
     # --- dashboard ----------------------------------------------------------------------------
 
