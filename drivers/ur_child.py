@@ -25,10 +25,9 @@ from typing import Any
 import numpy as np
 
 from drivers.interfaces import ArmMode, Trajectory
-from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_pose import pose_of
-from drivers.ur_robot import RefusedError, Robot, RobotOptions
+from drivers.ur_robot import RefusedError, Robot, UrOptions
 from drivers.ur_shared import SharedState, Slot
 
 _DRIFT = 50e-6  # how fast two crystals may part
@@ -94,18 +93,6 @@ _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
 
 
-@dataclass(frozen=True)
-class ChildOptions:
-    """Options of the child process; see `drivers.ur.UrOptions`."""
-
-    robot: RobotOptions
-    mount: PlaneMount
-    lookahead_s: float
-    gain: float
-    stop_m_per_s2: float
-    stale_s: float
-
-
 class _LostError(Exception):
     """The robot fell silent."""
 
@@ -118,7 +105,9 @@ class _Motion:
 
 
 class _Child:
-    def __init__(self, connection: Connection, shared: SharedState, options: ChildOptions) -> None:
+    def __init__(
+        self, connection: Connection, shared: SharedState, options: UrOptions, pid: int
+    ) -> None:
         self._connection = connection
         self._requests = select.poll()  # `Connection.poll` would make one in every cycle
         self._requests.register(connection, select.POLLIN)
@@ -127,11 +116,11 @@ class _Child:
         self._motion: _Motion | None = None
         self._mode = ArmMode.READY
         self._stops = 0.0
-        self._clock = ControllerClock(options.robot.period_s)
+        self._clock = ControllerClock(options.period_s)
         self._silent_s = 0.0
         self._last_t_s = -np.inf
-        self._period_s = options.robot.period_s
-        self._robot = Robot(options.robot, _hurry)
+        self._period_s = options.period_s
+        self._robot = Robot(options, pid, _hurry)
         self._began_s = self._measured_s = time.monotonic()
 
     def run(self) -> None:
@@ -317,9 +306,9 @@ def main() -> None:
     """Serve one arm: `python -m drivers.ur_child CONNECTION_FD MEMORY_FD`."""
     connection = Connection(int(sys.argv[1]))
     shared = SharedState(int(sys.argv[2]))
-    options: ChildOptions = pickle.loads(connection.recv_bytes())
+    options: UrOptions = pickle.loads(connection.recv_bytes())
     try:
-        child = _Child(connection, shared, options)
+        child = _Child(connection, shared, options, os.getppid())
         connection.send(("done",))
     except RefusedError as refusal:
         connection.send(("refused", refusal.cause, refusal.remedy))
