@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -183,7 +183,7 @@ def _check_pattern(image: Image, board: Board, name: str, marker_ids: Any) -> No
             "switch mirroring off in the camera, or look at the board itself, not in a mirror",
         )
     if ids.size >= 6:
-        other = Board(**{**_described(board), "legacy": not board.legacy})
+        other = replace(board, legacy=not board.legacy)
         swapped = cv2.aruco.CharucoDetector(other.pattern).detectBoard(image)[1]
         hint = (
             f"set the board's `legacy` to {not board.legacy}"
@@ -199,11 +199,6 @@ def _check_pattern(image: Image, board: Board, name: str, marker_ids: Any) -> No
                 f"{name}: shows markers of dictionary {other_name}, not {board.dictionary}",
                 "describe the board as it is, or show the other one",
             )
-
-
-def _described(board: Board) -> dict[str, Any]:
-    names = ("columns", "rows", "square_m", "marker_share", "dictionary", "legacy")
-    return {name: getattr(board, name) for name in names}
 
 
 def _runs(line: NDArray[np.bool_]) -> list[tuple[int, int]]:

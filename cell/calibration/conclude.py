@@ -207,10 +207,8 @@ def times_from(move: DetectedMove) -> Times:
     )
 
 
-def stored_times(
-    times: Times, settings: Settings, frames: int, latency_s: float
-) -> StoredCalibration:
-    """Calibration file content of the delays; `latency_s` is what the driver already corrects."""
+def stored_times(times: Times, settings: Settings, frames: int) -> StoredCalibration:
+    """Calibration file content of the delays."""
     return StoredCalibration(
         "time",
         datetime.now(UTC),
@@ -222,7 +220,7 @@ def stored_times(
             "latency_rms_m": times.latency.rms_m,
             "lag_rms_m": times.lag.rms_m,
         },
-        {"latency_s": latency_s + times.latency.value_s, "lag_s": times.lag.value_s},
+        {"latency_s": times.latency.value_s, "lag_s": times.lag.value_s},
     )
 
 

@@ -198,14 +198,13 @@ class CalibrationJob:
             raise
 
     def _time(self, source: Path | None) -> StoredCalibration:
-        corrected_s = 0.0
         if source is None:
             move = self._move(view_of_stored(self._before("cell")))
             self._record("time", partial(raw.save_move, move=move))
         else:
             move = raw.read_move(source)
         times = conclude.times_from(move)
-        stored = conclude.stored_times(times, self._settings, len(move.stamps_s), corrected_s)
+        stored = conclude.stored_times(times, self._settings, len(move.stamps_s))
         self._report("time", time_report(stored, times, move))
         return stored
 
