@@ -19,7 +19,8 @@ import numpy as np
 from drivers.capture import StreamingCamera
 from drivers.installing import install_extra
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import CaptureOptions, Shot, check_settings
+from drivers.recording import LOST_REMEDY, CaptureOptions, Shot, check_settings
+from drivers.threads import error_text
 
 _FETCH_S = 0.2
 _BUFFERS = 32
@@ -89,11 +90,7 @@ class _GenicamSource:
         except CameraError:
             raise
         except Exception as error:  # the library's own exceptions have no common base
-            raise DeviceLostError(
-                self._device,
-                f"{type(error).__name__}: {error}",
-                "check the camera's cable and power, then connect again",
-            ) from error
+            raise DeviceLostError(self._device, error_text(error), LOST_REMEDY) from error
 
     def close(self) -> None:
         """Stop and release, in the reverse order of opening, ignoring errors of a lost camera."""
@@ -141,7 +138,7 @@ class _GenicamSource:
         except Exception as error:
             raise ConnectError(
                 self._device,
-                f"it does not open: {type(error).__name__}: {error}",
+                f"it does not open: {error_text(error)}",
                 "check whether another program has it, and the producer",
             ) from error
         self._closers.append(acquirer.destroy)
@@ -170,7 +167,7 @@ class _GenicamSource:
         try:
             getattr(nodes, name).value = value
         except Exception as error:
-            why = f": {type(error).__name__}: {error}".rstrip(": ")
+            why = f": {error_text(error)}".rstrip(": ")
         try:
             actual = getattr(nodes, name).value
         except Exception:

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import CaptureOptions, Shot, check_settings
+from drivers.recording import LOST_REMEDY, CaptureOptions, Shot, check_settings
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6
@@ -86,11 +86,7 @@ class _OpenCvSource:
         # one call is faster while other threads compute: each call waits for the interpreter
         came, picture = self._capture.read() if wanted() else (self._capture.grab(), None)
         if not came:
-            raise DeviceLostError(
-                self._device,
-                "the stream of pictures ended",
-                "check the camera's cable and power, then connect again",
-            )
+            raise DeviceLostError(self._device, "the stream of pictures ended", LOST_REMEDY)
         stamp_s = self._stamp_s()
         if picture is None and wanted():
             came, picture = self._capture.retrieve()

@@ -26,7 +26,7 @@ from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, leave_interrupts_to_parent, serve_requests
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
-from drivers.threads import GuardedThread, end_process, only_logged
+from drivers.threads import GuardedThread, end_process, error_text, only_logged
 
 
 class Scene(Protocol):
@@ -132,7 +132,7 @@ class StreamCounts:
     latest_s: float = 0.0
 
 
-class EmulatedCamera(EmulatorProcess):
+class EmulatedCamera(EmulatorProcess[StreamFaults]):
     """A camera in its own process, alive within a `with`; it ends when its parent does.
 
     scene    picklable; called in the camera's process
@@ -146,8 +146,7 @@ class EmulatedCamera(EmulatorProcess):
         address: tuple[str, int] = ("127.0.0.1", 0),
     ) -> None:
         options = options if options is not None else CameraEmulatorOptions()
-        super().__init__("camera", serve, (scene, options, address))
-        self._faults = StreamFaults()
+        super().__init__("camera", StreamFaults(), serve, (scene, options, address))
         self._host, self._port = address
 
     def started(self, port: int) -> None:
@@ -158,16 +157,6 @@ class EmulatedCamera(EmulatorProcess):
     def url(self) -> str:
         """URL that OpenCV opens."""
         return f"tcp://{self._host}:{self._port}"
-
-    @property
-    def faults(self) -> StreamFaults:
-        """Active faults."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: StreamFaults) -> None:
-        self._faults = faults
-        self.request("faults", faults)
 
     def notify(self, message: object) -> None:
         """Tell the scene something picklable.  Raises EmulatorError: it does not understand."""
@@ -196,7 +185,7 @@ def serve(
         _check(scene.picture(time.monotonic() - options.poll_s), options)
         server = _Server(scene, options, address)
     except Exception as error:
-        door.send((False, f"{type(error).__name__}: {error}"))
+        door.send((False, error_text(error)))
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(PRIORITY)

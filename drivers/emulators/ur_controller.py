@@ -208,14 +208,10 @@ class Controller:
     def protective_stop(self, why: str) -> None:
         """Stop hard; the program pauses until somebody unlocks and plays or uploads."""
         self._stop_for_safety(Safety.PROTECTIVE_STOP, why)
-        if self.runtime is Runtime.PLAYING:
-            self.runtime = Runtime.PAUSED
 
     def safeguard_stop(self) -> None:
         """A guard is open: the program pauses."""
         self._stop_for_safety(Safety.SAFEGUARD_STOP, "a guard is open")
-        if self.runtime is Runtime.PLAYING:
-            self.runtime = Runtime.PAUSED
 
     def emergency_stop(self) -> None:
         """The button is pressed: power goes off, the program ends."""
@@ -248,6 +244,8 @@ class Controller:
         self.safety = safety
         self._stopped_s = self.time_s
         self._coast(_PROTECTIVE_RAD_PER_S2)
+        if self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
         self.note(f"{safety}: {why}")
 
     # --- RTDE ---------------------------------------------------------------------------------
@@ -287,10 +285,6 @@ class Controller:
             self.servo_writes += 1
         elif register in (0, 24):
             self._servo_s = None
-
-    def outputs(self, names: Sequence[str]) -> list[Value]:
-        """Values of output variables now."""
-        return self.reader(names)()
 
     def reader(self, names: Sequence[str]) -> Callable[[], list[Value]]:
         """Function that returns the values of output variables, for 500 calls a second."""

@@ -24,6 +24,7 @@ from drivers.rtde_wire import (
     Value,
     names_in,
 )
+from drivers.threads import error_text
 
 _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
@@ -193,7 +194,7 @@ class PortFaults(_Lines):
             request = json.loads(text)
             answer = self.server.act(**request)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            answer = {"error": f"{type(error).__name__}: {error}"}
+            answer = {"error": error_text(error)}
         self.send((json.dumps(answer) + "\n").encode())
 
 

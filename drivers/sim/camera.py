@@ -14,11 +14,10 @@ from drivers.interfaces import (
     Frame,
     Image,
 )
+from drivers.recording import LOST_REMEDY
 from drivers.sim.pinhole import Sight
 from drivers.sim.render import LightArray, Patches, Rates, RenderOptions, backdrop, render
 from drivers.sim.world import SimView, SimWorld
-
-_LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class SimCamera:
     def connect(self) -> None:
         """Raises ConnectError."""
         if self.faults.refuses_to_connect or self._came(self.faults.lost_at_s):
-            raise ConnectError(self.name, "no camera answers", _LOST_REMEDY)
+            raise ConnectError(self.name, "no camera answers", LOST_REMEDY)
         self._connected = True
 
     def close(self) -> None:
@@ -156,7 +155,7 @@ class SimCamera:
         lost_s = self.faults.lost_at_s
         if lost_s is not None and exposed_s >= lost_s:
             self.close()
-            raise DeviceLostError(self.name, "frames no longer arrive", _LOST_REMEDY)
+            raise DeviceLostError(self.name, "frames no longer arrive", LOST_REMEDY)
 
     def _came(self, t_s: float | None) -> bool:
         return t_s is not None and t_s <= self._clock.now_s()

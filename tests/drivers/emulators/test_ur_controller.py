@@ -70,7 +70,7 @@ def test_safety_stops_bring_the_arm_to_rest_and_keep_it_there(
     stop(controller)
     ticks(controller, 25)
     assert not moving(controller)
-    (bits,) = controller.outputs(["safety_status_bits"])
+    (bits,) = controller.reader(["safety_status_bits"])()
     assert bits >> bit & 1 and bits >> 10 & 1 and not bits & 1
     assert controller.dashboard("safetymode") == f"Safetymode: {safety}"
     controller.upload(PROGRAM)
