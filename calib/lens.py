@@ -55,18 +55,14 @@ class Lens:
 
     def distorted(self, ideal_px: FloatArray) -> FloatArray:
         """(…, 2) ideal pixels → (…, 2) pixels of the picture."""
-        return distort(self.numbers, np.asarray(ideal_px, dtype=np.float64))
+        ideal = np.asarray(ideal_px, dtype=np.float64)
+        return np.stack(distorted(self.numbers, ideal[..., 0], ideal[..., 1]), axis=-1)
 
     def ideal(self, pixels: FloatArray) -> FloatArray:
         """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where there is none."""
         pixels = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(pixels.reshape(-1, 2))
         return np.asarray(_all_undistorted(self.numbers, flat)).reshape(pixels.shape)
-
-
-def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
-    """(…, 2) ideal pixels → (…, 2) pixels, for the (9,) numbers of a lens."""
-    return np.stack(distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
 
 
 def distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:

@@ -26,7 +26,7 @@ from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import CalibrationSession, opened
 from cell.files.atomic import write_atomic
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.overwriting import check_output
 from cell.files.rescue import remedy, write_or_rescue
 from cell.settings import Settings
@@ -84,7 +84,7 @@ class CalibrationJob:
     ) -> None:
         if settings.calibration is None:
             message = "is missing; add `calibration: {}`, and leave out camera.view"
-            raise InputError([Problem(config, 1, None, "calibration", message)])
+            raise InputError.at(config, message, key="calibration")
         self._settings, self._config, self._seed = settings, config, seed
         self._say, self._ask, self._live, self._look = say, ask, live, look
         self._folder = settings.calibration.folder
