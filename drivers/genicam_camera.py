@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from drivers.capture import StreamingCamera
 from drivers.installing import install_extra
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import LOST_REMEDY, CaptureOptions, Shot, check_settings
+from drivers.recording import LOST_REMEDY, CameraSettings, Shot
 from drivers.threads import error_text
 
 _FETCH_S = 0.2
@@ -29,25 +29,15 @@ _LARGEST_ID = 65_535
 
 
 @dataclass(frozen=True)
-class GenicamOptions:
-    """Choice and settings of a camera; every value is read back.
+class GenicamOptions(CameraSettings):
+    """Choice and settings of a camera.
 
     producer       the maker's GenTL producer, *.cti
     serial_number  None = the only camera
-    exposure_s     None = unchanged
     """
 
     producer: FilePath
     serial_number: str | None = None
-    width_px: int = 1280
-    height_px: int = 1024
-    frame_rate_hz: float = 200.0
-    exposure_s: float | None = 0.0005
-    setting_tolerance: float = 0.05
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-
-    def __post_init__(self) -> None:
-        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
 
 
 class GenicamCamera(StreamingCamera):
@@ -195,7 +185,7 @@ class _GenicamSource:
         return self._number
 
     def _image(self, component: Any) -> Image:
-        shape = (self._options.height_px, self._options.width_px)
+        shape = self._options.shape
         actual = (int(component.height), int(component.width))
         if actual != shape or component.data_format != _PIXELS:
             raise CameraError(

@@ -11,7 +11,7 @@ source  OpenCV, videoio flags; Linux, V4L2_CID_EXPOSURE_AUTO (1 = manual) and
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import LOST_REMEDY, CaptureOptions, Shot, check_settings
+from drivers.recording import LOST_REMEDY, CameraSettings, Shot
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6
@@ -28,29 +28,21 @@ _SETTINGS_REMEDY = "ask for what the camera can do: `v4l2-ctl --list-formats-ext
 
 
 @dataclass(frozen=True)
-class OpenCvOptions:
-    """Choice and settings of a camera.
+class OpenCvOptions(CameraSettings):
+    """Choice and settings of a camera; a stream has no exposure.
 
     device         number or path of a Video4Linux device, or the URL of a stream
-    frame_rate_hz  requested and read back; likewise width_px and height_px
-    exposure_s     manual exposure, set and read back; None = unchanged (a stream has none)
     fourcc         pixel format, e.g. GREY, YUYV, MJPG; None = unchanged.  GREY and YUYV are exact
     stamps         source of timestamps: the `device`, or the `arrival` of the pictures,
                    which carries the jitter of this computer and hides a missing picture
     """
 
     device: int | str = 0
-    width_px: int = 1280
-    height_px: int = 1024
-    frame_rate_hz: float = 200.0
-    exposure_s: float | None = 0.0005
     fourcc: str | None = None
     stamps: Literal["device", "arrival"] = "device"
-    setting_tolerance: float = 0.05
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
 
     def __post_init__(self) -> None:
-        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
+        super().__post_init__()
         if self.fourcc is not None and len(self.fourcc) != 4:
             raise ValueError(f"camera.fourcc = {self.fourcc!r}: must be four characters")
 
@@ -147,12 +139,8 @@ class _OpenCvSource:
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
         self.grab(lambda: False)
         came, picture = self._capture.retrieve()
-        if not came or _luminance(picture, self._shape) is None:
+        if not came or _luminance(picture, self._options.shape) is None:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1.0)
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return self._options.height_px, self._options.width_px
 
     # --- pictures -----------------------------------------------------------------------------
 
@@ -170,13 +158,13 @@ class _OpenCvSource:
         return stamp_s
 
     def _grey(self, picture: np.ndarray) -> Image:
-        image = _luminance(picture, self._shape)
-        if image is None and picture.ndim == 3 and picture.shape[:2] == self._shape:
+        image = _luminance(picture, self._options.shape)
+        if image is None and picture.ndim == 3 and picture.shape[:2] == self._options.shape:
             image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if image is None:
             raise CameraError(
                 self._device,
-                f"a picture of shape {picture.shape} came, {self._shape} expected",
+                f"a picture of shape {picture.shape} came, {self._options.shape} expected",
                 "connect again",
             )
         return image

@@ -7,7 +7,7 @@ too many to be kept.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -67,16 +67,31 @@ class CaptureOptions:
                 raise ValueError(f"capture.{name} = {getattr(self, name)}: must be ≥ {least}")
 
 
-def check_settings(
-    width_px: int, height_px: int, frame_rate_hz: float, exposure_s: float | None
-) -> None:
-    """Check that a camera's settings are positive.  Raises ValueError."""
-    numbers = {"width_px": width_px, "height_px": height_px, "frame_rate_hz": frame_rate_hz}
-    if exposure_s is not None:
-        numbers["exposure_s"] = exposure_s
-    for name, value in numbers.items():
-        if not value > 0:
-            raise ValueError(f"camera.{name} = {value}: must be > 0")
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """Size, rate and exposure of a camera, all set and read back.
+
+    exposure_s         manual exposure; None = unchanged
+    setting_tolerance  allowed departure of the read from the set value, relative
+    """
+
+    width_px: int = 1280
+    height_px: int = 1024
+    frame_rate_hz: float = 200.0
+    exposure_s: float | None = 0.0005
+    setting_tolerance: float = 0.05
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
+
+    def __post_init__(self) -> None:
+        for name in ("width_px", "height_px", "frame_rate_hz", "exposure_s"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"camera.{name} = {value}: must be > 0")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of a picture: rows, columns."""
+        return self.height_px, self.width_px
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.cell import CellFit
 from calib.errors import CalibrationError
+from calib.grip import fit_grip
 from calib.plane import PlaneView
 from calib.store import CalibrationFileError, StoredCalibration, load, save
 from calib.timing import Delay
@@ -221,7 +222,7 @@ class CalibrationJob:
             shown = raw.read_cell(source)
             self._check_taken(source, [one.picture for one in shown.poses])
         views, troubles = grip.views_of(shown, view, self._settings)
-        fit = grip.grip_from(views, cell)
+        fit = fit_grip(views, float(cell.error.get("map_rms_m", 0.0)))
         stored = grip.stored_grip(fit, self._settings, troubles)
         self._report("grip", grip_report(stored, fit, views, shown, view))
         poor = self._too_poor(stored)
