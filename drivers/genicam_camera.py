@@ -19,7 +19,7 @@ import numpy as np
 from drivers.capture import StreamingCamera
 from drivers.installing import install_extra
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import LOST_REMEDY, CameraSettings, Shot
+from drivers.recording import DEVICE, LOST_REMEDY, SETTING_TOLERANCE, CameraSettings, Shot
 from drivers.threads import error_text
 
 _FETCH_S = 0.2
@@ -43,16 +43,15 @@ class GenicamOptions(CameraSettings):
 class GenicamCamera(StreamingCamera):
     """An industrial camera through its maker's GenTL producer."""
 
-    def __init__(self, options: GenicamOptions, clock: Clock, name: str = "camera") -> None:
-        super().__init__(lambda: _GenicamSource(options, name), options.capture, clock, name)
+    def __init__(self, options: GenicamOptions, clock: Clock) -> None:
+        super().__init__(lambda: _GenicamSource(options), options.capture, clock)
 
 
 class _GenicamSource:
     """An acquiring camera with the requested settings."""
 
-    def __init__(self, options: GenicamOptions, device: str) -> None:
+    def __init__(self, options: GenicamOptions) -> None:
         self._options = options
-        self._device = device
         self._closers: list[Callable[[], None]] = []
         self._number = 0  # of pictures, counted on beyond the camera's 16 bits
         self._last_id: int | None = None
@@ -80,7 +79,7 @@ class _GenicamSource:
         except CameraError:
             raise
         except Exception as error:  # the library's own exceptions have no common base
-            raise DeviceLostError(self._device, error_text(error), LOST_REMEDY) from error
+            raise DeviceLostError(DEVICE, error_text(error), LOST_REMEDY) from error
 
     def close(self) -> None:
         """Stop and release, in the reverse order of opening, ignoring errors of a lost camera."""
@@ -98,7 +97,7 @@ class _GenicamSource:
             from harvesters.core import Harvester
         except ImportError as error:
             raise ConnectError(
-                self._device,
+                DEVICE,
                 f"GenICam is not installed ({error})",
                 install_extra("genicam"),
             ) from error
@@ -106,7 +105,7 @@ class _GenicamSource:
         self._closers.append(harvester.reset)
         if not options.producer.is_file():
             raise ConnectError(
-                self._device,
+                DEVICE,
                 f"{options.producer} does not exist",
                 "install the maker's GenTL producer and give its .cti file",
             )
@@ -117,7 +116,7 @@ class _GenicamSource:
             wanted = options.serial_number
             if len(serials) != 1 if wanted is None else serials.count(wanted) != 1:
                 raise ConnectError(
-                    self._device,
+                    DEVICE,
                     f"{options.producer.name} finds the cameras {', '.join(serials) or 'none'}, "
                     f"wanted is {wanted or 'the only one'}",
                     "check cable, power and network address, and give its serial number",
@@ -127,7 +126,7 @@ class _GenicamSource:
             raise
         except Exception as error:
             raise ConnectError(
-                self._device,
+                DEVICE,
                 f"it does not open: {error_text(error)}",
                 "check whether another program has it, and the producer",
             ) from error
@@ -163,13 +162,13 @@ class _GenicamSource:
         except Exception:
             actual = None
         if isinstance(value, float) and isinstance(actual, int | float):
-            accepted = abs(actual - value) <= self._options.setting_tolerance * value
+            accepted = abs(actual - value) <= SETTING_TOLERANCE * value
         else:
             accepted = actual == value
         if not accepted:
             has = "has no such feature" if actual is None else f"has {actual}"
             raise ConnectError(
-                self._device,
+                DEVICE,
                 f"{name} = {value} refused, the camera {has}{why}",
                 "ask for what the camera can do",
             )
@@ -189,7 +188,7 @@ class _GenicamSource:
         actual = (int(component.height), int(component.width))
         if actual != shape or component.data_format != _PIXELS:
             raise CameraError(
-                self._device,
+                DEVICE,
                 f"a {component.data_format} picture of shape {actual} came, {_PIXELS} of {shape} "
                 "expected",
                 "connect again",

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import LOST_REMEDY, CameraSettings, Shot
+from drivers.recording import DEVICE, LOST_REMEDY, SETTING_TOLERANCE, CameraSettings, Shot
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6
@@ -55,17 +55,16 @@ class OpenCvOptions(CameraSettings):
 class OpenCvCamera(StreamingCamera):
     """A camera through OpenCV's VideoCapture."""
 
-    def __init__(self, options: OpenCvOptions, clock: Clock, name: str = "camera") -> None:
-        super().__init__(lambda: _OpenCvSource(options, name), options.capture, clock, name)
+    def __init__(self, options: OpenCvOptions, clock: Clock) -> None:
+        super().__init__(lambda: _OpenCvSource(options), options.capture, clock)
 
 
 class _OpenCvSource:
     """An open VideoCapture with the requested settings."""
 
-    def __init__(self, options: OpenCvOptions, device: str) -> None:
+    def __init__(self, options: OpenCvOptions) -> None:
         self._options = options
-        self._device = device
-        self._capture = _open(options, device)
+        self._capture = _open(options)
         self._last_stamp_s = -np.inf
         try:
             self.rate_hz = self._set_up()
@@ -78,12 +77,12 @@ class _OpenCvSource:
         # one call is faster while other threads compute: each call waits for the interpreter
         came, picture = self._capture.read() if wanted() else (self._capture.grab(), None)
         if not came:
-            raise DeviceLostError(self._device, "the stream of pictures ended", LOST_REMEDY)
+            raise DeviceLostError(DEVICE, "the stream of pictures ended", LOST_REMEDY)
         stamp_s = self._stamp_s()
         if picture is None and wanted():
             came, picture = self._capture.retrieve()
             if not came:
-                raise CameraError(self._device, "a picture cannot be decoded", "check the cable")
+                raise CameraError(DEVICE, "a picture cannot be decoded", "check the cable")
         return Shot(None if picture is None else self._grey(picture), stamp_s)
 
     def close(self) -> None:
@@ -118,10 +117,14 @@ class _OpenCvSource:
         return rate_hz
 
     def _set(
-        self, name: str, key: int, value: float, requested: float, tolerance: float | None = None
+        self,
+        name: str,
+        key: int,
+        value: float,
+        requested: float,
+        tolerance: float = SETTING_TOLERANCE,
     ) -> float:
         """Set a property; the actual value, in units of `requested`.  Raises ConnectError."""
-        tolerance = self._options.setting_tolerance if tolerance is None else tolerance
         if self._capture.get(key) != value:
             self._capture.set(key, value)
         actual = float(self._capture.get(key)) * requested / value
@@ -131,7 +134,7 @@ class _OpenCvSource:
 
     def _refused(self, name: str, requested: str, actual: str) -> ConnectError:
         return ConnectError(
-            self._device, f"{name} = {requested} refused, the camera has {actual}", _SETTINGS_REMEDY
+            DEVICE, f"{name} = {requested} refused, the camera has {actual}", _SETTINGS_REMEDY
         )
 
     def _skip_colour_conversion(self) -> None:
@@ -150,7 +153,7 @@ class _OpenCvSource:
         stamp_s = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         if not stamp_s > self._last_stamp_s:
             raise CameraError(
-                self._device,
+                DEVICE,
                 f"time stamps do not advance: {stamp_s:.6f} s after {self._last_stamp_s:.6f} s",
                 "for a camera without them set `stamps: arrival`",
             )
@@ -163,14 +166,14 @@ class _OpenCvSource:
             image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if image is None:
             raise CameraError(
-                self._device,
+                DEVICE,
                 f"a picture of shape {picture.shape} came, {self._options.shape} expected",
                 "connect again",
             )
         return image
 
 
-def _open(options: OpenCvOptions, device: str) -> cv2.VideoCapture:
+def _open(options: OpenCvOptions) -> cv2.VideoCapture:
     if options.is_stream:
         # the first bytes must identify the stream's format; one thread adds no delay
         settings = {
@@ -185,7 +188,7 @@ def _open(options: OpenCvOptions, device: str) -> cv2.VideoCapture:
     if not capture.isOpened():
         capture.release()
         raise ConnectError(
-            device, f"{options.device} does not open", "check address, cable, power and permissions"
+            DEVICE, f"{options.device} does not open", "check address, cable, power and permissions"
         )
     return capture
 

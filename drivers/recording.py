@@ -13,6 +13,10 @@ import numpy as np
 
 from drivers.interfaces import CameraError, DeviceError, Frame, Image
 
+#: Name of the camera in errors.
+DEVICE = "camera"
+#: Allowed departure of a setting that is read back from the set one, relative.
+SETTING_TOLERANCE = 0.05
 LOST_REMEDY = "check the camera's cable and power, then connect again"
 SLOW_REMEDY = "shorten the exposure, lower the frame rate, or use a faster bus or computer"
 _MISSING_REMEDY = "check cable and load, or lower the frame rate, then record again"
@@ -71,15 +75,13 @@ class CaptureOptions:
 class CameraSettings:
     """Size, rate and exposure of a camera, all set and read back.
 
-    exposure_s         manual exposure; None = unchanged
-    setting_tolerance  allowed departure of the read from the set value, relative
+    exposure_s  manual exposure; None = unchanged
     """
 
     width_px: int = 1280
     height_px: int = 1024
     frame_rate_hz: float = 200.0
     exposure_s: float | None = 0.0005
-    setting_tolerance: float = 0.05
     capture: CaptureOptions = field(default_factory=CaptureOptions)
 
     def __post_init__(self) -> None:
@@ -112,11 +114,9 @@ class FrameSequence:
         origin_s: float,
         rate_hz: float,
         options: CaptureOptions,
-        device: str,
     ) -> None:
         self.waiting: deque[Frame] = deque()
         self.error: DeviceError | None = None
-        self._device = device
         self._count = frame_count
         self._start_s = start_s
         self._origin_s = origin_s  # arrival time minus stamp
@@ -204,7 +204,7 @@ class FrameSequence:
         return None
 
     def _error(self, cause: str, remedy: str = _MISSING_REMEDY) -> CameraError:
-        return CameraError(self._device, cause, remedy)
+        return CameraError(DEVICE, cause, remedy)
 
 
 def repeats(image: Image, before: Image) -> bool:

@@ -37,8 +37,11 @@ from drivers.ur_robot import UrOptions
 from drivers.ur_shared import COLUMNS, SharedColumn, Slot
 
 _LOST_REMEDY = ArmMode.LOST.remedy
-_RESET_S = 10.0
-_CLOSE_S = 2.0
+_CONNECT_S, _RESET_S, _CLOSE_S = 10.0, 10.0, 2.0
+#: Silence of the child that counts as lost, s.
+_SILENT_S = 0.06
+#: How far from the plane the tool may be when a motion starts.
+_OFF_PLANE_M, _TILT_RAD = 0.002, 0.01
 _POLL_S = 5e-4
 _MODEL_TOLERANCE_M = 0.015
 _MOVING_M_PER_S = 0.001
@@ -47,8 +50,9 @@ _MOVING_M_PER_S = 0.001
 class UrArm:
     """A UR arm.  `stop`, `state` and `log` may be called from any thread."""
 
-    def __init__(self, options: UrOptions, name: str = "arm") -> None:
-        self.name = name
+    name = "arm"
+
+    def __init__(self, options: UrOptions) -> None:
         self._options = options
         self._model, self._X_FT = MODELS[options.model], matrix_of(np.array(options.tcp))
         self._child: ChildProcess | None = None
@@ -74,7 +78,7 @@ class UrArm:
             self.close()
             child = start_child(self._options)
             try:
-                self._await_done(child, self._options.connect_s)
+                self._await_done(child, _CONNECT_S)
                 self._await_first_sample(child)
                 self._check_model(child)
             except ConnectError:
@@ -236,7 +240,7 @@ class UrArm:
         silent_s = time.monotonic() - child.shared.get(Slot.HEARTBEAT_S)
         if child.process.poll() is not None:
             self._lose(child, child.farewell())
-        if silent_s > self._options.silent_s:
+        if silent_s > _SILENT_S:
             self._lose(child, f"the arm's process has been silent for {silent_s:.3f} s")
         return child
 
@@ -322,14 +326,13 @@ class UrArm:
             )
 
     def _check_on_plane(self, sample: FloatArray) -> None:
-        o = self._options
-        off_m, tilt_rad = o.mount.off_plane(matrix_of(_tool_of(sample)))
-        if off_m > o.off_plane_m or tilt_rad > o.tilt_rad:
+        off_m, tilt_rad = self._options.mount.off_plane(matrix_of(_tool_of(sample)))
+        if off_m > _OFF_PLANE_M or tilt_rad > _TILT_RAD:
             raise LimitError(
                 self.name,
                 f"the tool is {off_m * 1e3:.1f} mm off the cell's plane and tilted by "
-                f"{tilt_rad:.3f} rad, allowed {o.off_plane_m * 1e3:.1f} mm and "
-                f"{o.tilt_rad:.3f} rad",
+                f"{tilt_rad:.3f} rad, allowed {_OFF_PLANE_M * 1e3:.1f} mm and "
+                f"{_TILT_RAD:.3f} rad",
                 "jog it to its start; nothing was moved",
             )
 

@@ -91,6 +91,8 @@ _CLOCKS_S = 0.1  # time of the first estimate of the clocks' offset
 _EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and polling interval
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
+_STALE_S = 0.04  # silence of the controller that counts as lost
+_STOP_M_PER_S2 = 10.0  # deceleration of a stop
 
 
 class _LostError(Exception):
@@ -172,7 +174,7 @@ class _Child:
         self._silent_s += min(now_s - self._measured_s, 2.0 * self._period_s)
         self._measured_s = now_s
         if robot_s == self._clock.robot_s:
-            if self._silent_s > self._options.stale_s:
+            if self._silent_s > _STALE_S:
                 raise _LostError(
                     f"the controller's time has not advanced for {self._silent_s:.3f} s"
                 )
@@ -213,7 +215,7 @@ class _Child:
     def _end_motion(self) -> None:
         if self._motion is not None:
             self._motion = None
-            self._robot.control.servoStop(self._options.stop_m_per_s2)
+            self._robot.control.servoStop(_STOP_M_PER_S2)
             self._shared.put(Slot.STREAMING, 0.0)
 
     def _stream(self, motion: _Motion, now_s: float) -> None:

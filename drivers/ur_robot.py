@@ -35,6 +35,8 @@ _OUTPUTS = [
 ]
 #: Largest delay of ur-rtde's clients while this process sleeps, s.
 _POLLING_SLACK_S = 4e-4
+#: Lowest rate of commands before the controller stops the arm.
+_WATCHDOG_HZ = 20.0
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
@@ -54,12 +56,6 @@ class UrOptions:
                     its x and y axes are the plane's when the clamp angle is 0
     rate_hz         of the controller's cycles, and of commands
     lag_s           measured with this lookahead
-    watchdog_hz     lowest rate of commands before the controller stops the arm
-    stop_m_per_s2   deceleration of a stop
-    connect_s       time that connecting may take
-    stale_s         silence of the controller that counts as lost
-    silent_s        silence of the child that counts as lost
-    off_plane_m, tilt_rad   how far from the plane the tool may be when a motion starts
     allow_version   PolyScope version, major and minor, that the user allows though it is not
                     proved; None = proved ones only
     """
@@ -72,13 +68,6 @@ class UrOptions:
     lookahead_s: float = 0.03
     gain: float = 300.0
     lag_s: float = 0.034
-    watchdog_hz: float = 20.0
-    stop_m_per_s2: float = 10.0
-    connect_s: float = 10.0
-    stale_s: float = 0.04
-    silent_s: float = 0.06
-    off_plane_m: float = 0.002
-    tilt_rad: float = 0.01
     allow_version: Version | None = None
 
     def __post_init__(self) -> None:
@@ -207,7 +196,7 @@ class Robot:
 
     def _prepare(self) -> None:
         self.control.setTcp(list(self._options.tcp))
-        self.control.setWatchdog(self._options.watchdog_hz)
+        self.control.setWatchdog(_WATCHDOG_HZ)
 
     def _end_programs(self) -> None:
         """End a running program without a dashboard: ur-rtde would crash in its own request."""

@@ -81,24 +81,24 @@ class TestCard:
 
 
 _POLL_S = 0.02  # polling interval of all waits
+#: From the middle of an exposure until the picture is requested from the scene, s: it may need
+#: measurements of other processes of that moment.
+_REQUEST_S = 0.006
+#: A picture that would leave that much too late is dropped, as in a real camera, s.
+_BACKLOG_S = 0.25
 
 
 @dataclass(frozen=True)
 class CameraEmulatorOptions:
     """Properties of the emulated camera.
 
-    poll_s     from the middle of an exposure until the picture is requested from the scene: it
-               may need measurements of other processes of that moment
     readout_s  from the middle of an exposure until the picture leaves the camera
-    backlog_s  a picture that would leave that much too late is dropped, as in a real camera
     """
 
     width_px: int = 1280
     height_px: int = 1024
     frame_rate_hz: float = 200.0
-    poll_s: float = 0.006
     readout_s: float = 0.012
-    backlog_s: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def serve(
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()
-        _check(scene.picture(time.monotonic() - options.poll_s), options)
+        _check(scene.picture(time.monotonic() - _REQUEST_S), options)
         server = _Server(scene, options, address)
     except Exception as error:
         door.send((False, error_text(error)))
@@ -299,14 +299,14 @@ class _Server:
         while not gone.is_set():
             faults = self.faults
             due_s += faults.slow / options.frame_rate_hz
-            sleep_until(due_s + options.poll_s)
+            sleep_until(due_s + _REQUEST_S)
             self._deliver_messages()
             if self._somebody_waits():
                 break  # the former reader has ended without closing
             if faults is not missing_of:
                 missing_of, missing = faults, faults.missing
-            behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
-            if behind or time.monotonic() > due_s + options.readout_s + options.backlog_s:
+            behind = parcels.qsize() / options.frame_rate_hz > _BACKLOG_S
+            if behind or time.monotonic() > due_s + options.readout_s + _BACKLOG_S:
                 self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
                 continue
             if missing > 0:

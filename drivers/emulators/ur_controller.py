@@ -23,6 +23,7 @@ CYCLE_S = 0.002
 
 _UPLOAD_S = 0.05  # from the upload of a program until it runs
 _UNLOCK_AFTER_S = 5.0
+_SERIAL_NUMBER = "20225500001"
 _STOP_RAD_PER_S2 = 12.0  # when a program ends in motion
 _PROTECTIVE_RAD_PER_S2 = 40.0
 
@@ -71,7 +72,6 @@ class ControllerOptions:
 
     version: tuple[int, int, int, int] = (5, 12, 2, 1101534)
     model: UrModel = UR5E
-    serial_number: str = "20225500001"
     start_rad: tuple[float, ...] = HOME_RAD
 
 
@@ -330,7 +330,7 @@ class Controller:
             case "polyscopeversion":
                 return "URSoftware {}.{}.{}.{} (Jul 06 2022)".format(*self.options.version)
             case "get serial number":
-                return self.options.serial_number
+                return _SERIAL_NUMBER
             case "get robot model":
                 return self.options.model.name.removesuffix("e")
             case "is in remote control":
