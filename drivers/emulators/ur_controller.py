@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.emulators.ur_arm import HOME_RAD, Decelerate, Joints
-from drivers.emulators.ur_script import ControlScript, Registers, ScriptCommand, ScriptError
+from drivers.emulators.ur_script import ControlScript, Effects, Registers, ScriptError
 from drivers.rtde_wire import OUTPUTS, REGISTERS, TYPES, Value
 from drivers.ur_kinematics import UR5E, UrModel
 from drivers.ur_pose import pose_of
@@ -113,6 +113,7 @@ class Controller:
         self.dashboard_lines = 0
         self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion
         self._servo_s: float | None = None
+        self.payload_kg = 0.0
         self._script: ControlScript | None = None
         self._uploaded: tuple[float, int] | None = None  # when it starts, register offset
         self._coasting: Decelerate | None = None
@@ -135,7 +136,7 @@ class Controller:
         if self._script is not None and self.runtime is Runtime.PLAYING:
             self._run_script(self._script)
         elif self._coasting is not None:
-            if not self._coasting.step(self.joints, CYCLE_S):
+            if not self._coasting.step(self.joints, CYCLE_S, 1.0):
                 self._coasting = None
         else:
             self.joints.rest()
@@ -149,7 +150,7 @@ class Controller:
 
     def _run_script(self, script: ControlScript) -> None:
         try:
-            if not script.cycle(CYCLE_S):
+            if not script.cycle(CYCLE_S, self.speed_fraction):
                 self.end_program("stopped by command")
                 return
         except ScriptError as error:
@@ -182,7 +183,8 @@ class Controller:
     def _start(self, offset: int) -> None:
         self._uploaded = None
         self._coasting = None
-        self._script = ControlScript(self.registers, self.joints, self._watch, self.note, offset)
+        effects = Effects(self.protective_stop, self._watch, self._set_payload, self.note)
+        self._script = ControlScript(self.registers, self.joints, effects, offset)
         self.runtime = Runtime.PLAYING
         self.note("program started")
 
@@ -202,6 +204,9 @@ class Controller:
 
     def _watch(self, register: int, frequency_hz: float) -> None:
         self._watchdog = _Watchdog(register, 1.0 / max(frequency_hz, 1e-3), self.time_s)
+
+    def _set_payload(self, mass_kg: float) -> None:
+        self.payload_kg = mass_kg
 
     # --- safety -------------------------------------------------------------------------------
 
@@ -277,7 +282,7 @@ class Controller:
     def _note_command(self, register: int, value: int) -> None:
         if self._watchdog is not None and self._watchdog.register == register:
             self._watchdog.fed_s = self.time_s
-        if value == ScriptCommand.SERVO_LINE:
+        if value in (11, 24):
             now_s = time.monotonic()
             if self._servo_s is not None:
                 self.servo_gaps_s.append(now_s - self._servo_s)
@@ -424,6 +429,7 @@ _GETTERS: Mapping[str, _Getter] = {
     "robot_mode": lambda c: c.robot_mode,
     "target_speed_fraction": lambda c: c.speed_fraction,
     "speed_scaling": lambda c: c.speed_scaling,
+    "payload": lambda c: c.payload_kg,
     "actual_digital_input_bits": lambda c: c.digital_inputs,
     "actual_digital_output_bits": lambda c: c.digital_outputs,
     "joint_mode": lambda c: [253] * 6,

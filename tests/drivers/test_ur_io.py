@@ -138,11 +138,11 @@ def test_an_arm_that_is_moved_by_ur_rtde_is_not_disturbed(controller) -> None:
         wait_until(lambda: told.inputs is not None)
         control = rtde_control.RTDEControlInterface(controller.host)
         try:
-            x, *others = controller.request("state")["pose"]
+            joints = controller.request("state")["q_rad"]
             io.set({0, 8, 16})
-            assert control.servoL([x + 0.02, *others], 0.0, 0.0, 0.002, 0.03, 300.0)
-            wait_until(
-                lambda: controller.request("state")["pose"][0] == pytest.approx(x + 0.02, abs=1e-3)
+            assert control.moveJ([joints[0] + 0.05, *joints[1:]], 1.0, 1.0)
+            assert controller.request("state")["q_rad"][0] == pytest.approx(
+                joints[0] + 0.05, abs=1e-3
             )
             wait_until(lambda: outputs_of(controller) == {0, 8, 16})
             assert control.isConnected()

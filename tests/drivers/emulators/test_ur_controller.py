@@ -23,10 +23,10 @@ def ticks(controller: Controller, count: int) -> None:
         controller.tick()
 
 
-def servo(controller: Controller, dz_m: float = -0.05, lookahead_s: float = 0.1) -> None:
+def servo(controller: Controller, dz_m: float = -0.05) -> None:
     goal = controller.joints.tool()
     goal[2, 3] += dz_m
-    values = [*pose_of(goal), 0.0, 0.0, 0.002, lookahead_s, 300.0]
+    values = [*pose_of(goal), 0.0, 0.0, 0.002, 0.1, 300.0]
     controller.write({f"input_double_register_{i}": float(v) for i, v in enumerate(values)})
     controller.write({"input_int_register_0": 24})
 
@@ -91,7 +91,8 @@ def test_a_protective_stop_is_unlocked_only_after_five_seconds(controller) -> No
 
 
 def test_too_fast_a_target_is_a_protective_stop(controller) -> None:
-    servo(controller, -0.3, lookahead_s=0.03)
+    controller.write({f"input_double_register_{i}": 3.0 for i in range(6)})
+    controller.write({"input_double_register_9": 0.03, "input_int_register_0": 11})
     ticks(controller, 10)
     assert controller.safety is Safety.PROTECTIVE_STOP
     assert any("a joint turns at" in e for e in events(controller))

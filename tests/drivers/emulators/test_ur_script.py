@@ -8,6 +8,7 @@ from drivers.emulators.ur_script import (
     DONE,
     READY,
     ControlScript,
+    Effects,
     Registers,
     ScriptError,
 )
@@ -20,21 +21,22 @@ class ScriptRun:
     def __init__(self, offset: int = 0) -> None:
         self.offset, self.registers, self.joints = offset, Registers(), Joints()
         self.seen: list[tuple] = []
-        self.script = ControlScript(
-            self.registers,
-            self.joints,
+        effects = Effects(
+            lambda why: self.seen.append(("stop", why)),
             lambda register, hz: self.seen.append(("watch", register, hz)),
+            lambda kg: self.seen.append(("payload", kg)),
             lambda what: self.seen.append(("note", what)),
-            offset,
         )
+        self.script = ControlScript(self.registers, self.joints, effects, offset)
 
-    def command(self, number: int, *values: float) -> None:
+    def command(self, number: int, *values: float, asynchronous: int = 0) -> None:
         self.registers.int_in[self.offset] = number
+        self.registers.int_in[self.offset + 1] = asynchronous
         for i, value in enumerate(values):
             self.registers.double_in[self.offset + i] = value
 
     def cycles(self, count: int = 1) -> bool:
-        return all(self.script.cycle(DT) for _ in range(count))
+        return all(self.script.cycle(DT, 1.0) for _ in range(count))
 
     @property
     def answer(self) -> int:
@@ -55,14 +57,36 @@ def bench(request) -> ScriptRun:
 
 def test_handshake_of_a_regular_command(bench) -> None:
     assert bench.answer == READY
-    bench.command(35, 20.0)
+    bench.command(17, 1.5)
     bench.cycles(5)
     assert bench.answer == DONE
-    # once, however long it stands there
-    assert bench.seen == [("watch", bench.offset, 20.0)]
+    assert bench.seen == [("payload", 1.5)]  # once, however long it stands there
     bench.command(0)
     bench.cycles()
     assert bench.answer == READY
+
+
+def test_a_blocking_move_is_done_on_arrival(bench) -> None:
+    goal = bench.joints.tool()
+    goal[2, 3] -= 0.02
+    bench.command(3, *pose_of(goal), 0.25, 1.2)
+    bench.cycles()
+    assert bench.answer == READY
+    assert bench.until(DONE) > 20
+    assert bench.joints.tool() == pytest.approx(goal, abs=1e-6)
+
+
+def test_an_asynchronous_move_is_done_at_once_and_reports_progress(bench) -> None:
+    progress = bench.offset + 2
+    goal = bench.joints.q_rad + 0.1
+    bench.command(1, *goal, 1.0, 5.0, asynchronous=1)
+    bench.cycles(2)
+    assert bench.answer == DONE
+    assert bench.registers.int_out[progress] & 0x8000
+    bench.command(0)
+    bench.cycles(500)
+    assert not bench.registers.int_out[progress] & 0x8000
+    assert bench.joints.q_rad == pytest.approx(goal)
 
 
 def test_a_servo_goes_on_when_its_command_is_cleared_and_ends_with_servo_stop(bench) -> None:
@@ -89,12 +113,30 @@ def test_a_stale_servo_command_moves_a_new_program_too() -> None:
     assert bench.joints.tool()[2, 3] == pytest.approx(goal[2, 3], abs=1e-4)
 
 
-def test_the_tool_moves_with_its_frame(bench) -> None:
-    before, tool = bench.joints.tool(), np.eye(4)
-    tool[2, 3] = 0.1
-    bench.command(29, *pose_of(tool))
+def test_answers_of_the_kinematic_commands(bench) -> None:
+    out = slice(bench.offset, bench.offset + 6)
+    goal = bench.joints.tool()
+    goal[2, 3] -= 0.05
+    bench.command(46, *pose_of(goal))
     bench.until(DONE)
-    assert bench.joints.tool() == pytest.approx(before @ tool)
+    q = np.array(bench.registers.double_out[out])
+    assert bench.joints.model.forward(q) == pytest.approx(goal, abs=1e-6)
+    bench.command(0)
+    bench.cycles()
+    bench.command(43)
+    bench.until(DONE)
+    assert bench.registers.double_out[out] == pytest.approx(pose_of(bench.joints.tool()))
+
+
+def test_watchdog_steady_and_protective_stop(bench) -> None:
+    for number, value in ((35, 20.0), (47, 0.0), (31, 0.0)):
+        bench.command(number, value)
+        bench.until(DONE)
+        bench.command(0)
+        bench.cycles()
+    assert ("watch", bench.offset, 20.0) in bench.seen
+    assert bench.registers.int_out[bench.offset + 1] == 1
+    assert any(kind == "stop" for kind, *_ in bench.seen)
 
 
 def test_stop_script_ends_the_program(bench) -> None:

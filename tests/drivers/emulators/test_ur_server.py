@@ -72,8 +72,8 @@ def test_the_real_client_moves_and_measures(emulator) -> None:
     start = receive.getActualTCPPose()
     goal = list(start)
     goal[2] -= 0.02
-    assert control.servoL(goal, *SERVO)
-    wait_until(lambda: receive.getActualTCPPose() == pytest.approx(goal, abs=1e-4))
+    assert control.moveL(goal, 0.5, 2.0)
+    assert receive.getActualTCPPose() == pytest.approx(goal, abs=1e-4)
     began = receive.getTimestamp()
     assert control.setWatchdog(10.0)
     for _ in range(50):
@@ -87,21 +87,19 @@ def test_the_real_client_moves_and_measures(emulator) -> None:
     receive.disconnect()
     state = emulator.request("state")
     assert state["runtime"] == "STOPPED"
-    assert state["servo_writes"] - written == 51
+    assert state["servo_writes"] - written == 50
     assert "program ended: stopped by command" in events(emulator, begin_s)
 
 
 def test_a_client_that_dies_leaves_the_arm_stopped_by_the_watchdog(emulator) -> None:
     program = (
-        "import rtde_control, rtde_receive, time\n"
+        "import rtde_control, time\n"
         "from drivers.priority import run_in_real_time\n"
         "run_in_real_time()\n"
         f"c = rtde_control.RTDEControlInterface('{emulator.host}')\n"
-        f"goal = rtde_receive.RTDEReceiveInterface('{emulator.host}').getActualTCPPose()\n"
         "c.setWatchdog(20.0)\n"
         "while True:\n"
-        "    goal[2] -= 4e-5\n"
-        "    c.servoL(goal, 0.0, 0.0, 0.002, 0.03, 300.0)\n"
+        "    c.speedL([0, 0, -0.02, 0, 0, 0], 1.0, 0.0)\n"
         "    time.sleep(0.002)\n"
     )
     client = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
