@@ -8,7 +8,8 @@ import pytest
 
 from drivers.interfaces import ConnectError
 from drivers.plane_mount import PlaneMount
-from drivers.ur import UrArm, UrOptions
+from drivers.ur import UrArm
+from drivers.ur_robot import UrOptions
 
 
 @pytest.fixture
