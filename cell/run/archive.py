@@ -4,79 +4,34 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
 from cell.plan.passage import path_at
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.ledger.outbox import LedgerWriter
 from cell.records.recording import form
 from cell.records.recording.band import VisionSetup
+from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention
 from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings, required
 from cell.run.station import ProductTask, Station, Task
+from cell.settings.records import RecordingSettings
 from cell.study.data import Study
 
 #: Packages on whose versions the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
-
-
-class EventSink(Protocol):
-    """Interface of a receiver of a cycle's messages, such as a `Recorder`.
-
-    notes  messages for a person
-    """
-
-    notes: list[str]
-
-    def begin(
-        self, path: Path, begun: Mapping[str, str], vision: VisionSetup | None = None
-    ) -> None:
-        """A recording begins; with `vision` only a band of each frame is stored."""
-
-    def event(self, topic: str, data: Mapping[str, Any]) -> None:
-        """A message of a JSON topic."""
-
-    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
-        """The cable as detected in frames."""
-
-    def end(self, keep: bool = True, whole: bool = False) -> None:
-        """The recording ends; with `whole` its full frames are stored, too."""
-
-    def note(self, text: str) -> None:
-        """A message for a person."""
-
-    def close(self) -> None:
-        """End recording."""
-
-
-@dataclass(frozen=True)
-class Keeping:
-    """Rule for the selection of the recordings that are stored.
-
-    outcomes  cycles with these outcomes are stored
-    every     also each cycle whose number is a multiple of it; 0 = no others
-    """
-
-    outcomes: frozenset[Outcome] = frozenset(Outcome)
-    every: int = 1
-
-    def keeps(self, result: Result) -> bool:
-        """Whether the recording of a cycle is stored."""
-        counted = self.every > 0 and result.cycle % self.every == 0
-        return counted or result.outcome in self.outcomes
 
 
 @dataclass(frozen=True)
@@ -85,16 +40,15 @@ class RecordingSetup:
 
     settings     as resolved for the product of a cycle
     files        texts that they refer to, by path: the calibration, the user's effects
-    full_frames  whether full frames are stored, or only the band that vision reads
+    wanted       which recordings are stored, and whether with full frames
     retention    deletes old recordings to make room; None = nothing is deleted
     uploads      sends recordings to a store; None = they stay
     """
 
-    recorder: EventSink
+    recorder: Recorder
     settings: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
-    keeping: Keeping = Keeping()
-    full_frames: bool = False
+    wanted: RecordingSettings = field(default_factory=RecordingSettings)
     retention: Retention | None = None
     uploads: Uploads | None = None
 
@@ -149,7 +103,8 @@ class CycleRecording:
             return
         self._path = folder / form.FILE
         recorder = self._recording.recorder
-        vision = None if self._recording.full_frames else VisionSetup(task.view, task.vision)
+        whole = self._recording.wanted.whole_frames
+        vision = None if whole else VisionSetup(task.view, task.vision)
         recorder.begin(self._path, recording_metadata(cycle, started), vision)
         identity = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         corners_px = task.view.to_pixels(task.destination.corners_m)
@@ -194,7 +149,9 @@ class CycleRecording:
         if self._recording is None:
             return
         self._event(form.RESULT, result.to_json())
-        keep = self._recording.keeping.keeps(result)
+        wanted = self._recording.wanted
+        counted = wanted.keep_every > 0 and result.cycle % wanted.keep_every == 0
+        keep = counted or result.outcome.value in wanted.keep
         self._recording.recorder.end(keep, result.outcome is not Outcome.INSERTED)
         if self._recording.retention is not None:
             self._recording.retention.add(self._path)

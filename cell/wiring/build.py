@@ -20,11 +20,10 @@ from cell.plan.paths import MotionLimits
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
-from cell.records.recording.retention import DiskRoom, LastRemoved, Retention
+from cell.records.recording.retention import Retention
 from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
-from cell.records.result import Outcome
-from cell.run.archive import Archive, Keeping, LedgerSetup, RecordingSetup
+from cell.run.archive import Archive, LedgerSetup, RecordingSetup
 from cell.run.clocks import CalibratedDelays
 from cell.run.cycle import Cell
 from cell.run.station import ProductTask, Task
@@ -94,23 +93,14 @@ def with_recorder(
         return devices, None
     patience_s = 0.0 if in_real_time(settings) else PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, section.memory_mb * 10**6, patience_s)
-    room = DiskRoom.of(section)
     shifts = (settings.ledger or LedgerSettings()).shifts
-    last = LastRemoved(section.last_removed_every, tuple(map(time_of_day.fromisoformat, shifts)))
-    recording = RecordingSetup(
-        recorder,
-        keeping=Keeping(frozenset(map(Outcome, section.keep)), section.keep_every),
-        full_frames=section.whole_frames,
-        retention=Retention(runs, room, last=last, only_stored=section.store is not None),
-        uploads=None if section.store is None else _uploads(settings, section.store, runs),
-    )
-    return recorded_devices(devices, recorder, recording.uploads), recording
-
-
-def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
-    uploads = Uploads(partial(Store, url), runs, line_name(settings))
-    uploads.start()
-    return uploads
+    retention = Retention(runs, section, tuple(map(time_of_day.fromisoformat, shifts)))
+    uploads = None
+    if section.store is not None:
+        uploads = Uploads(partial(Store, section.store), runs, line_name(settings))
+        uploads.start()
+    recording = RecordingSetup(recorder, wanted=section, retention=retention, uploads=uploads)
+    return recorded_devices(devices, recorder, uploads), recording
 
 
 _UR_TUNING = ("lookahead_s", "gain")

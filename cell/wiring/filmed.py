@@ -193,7 +193,7 @@ def record_film(
 
     with TemporaryDirectory(dir=target.parent) as folder:
         around = recorded_devices(devices, recorder)
-        archive = Archive(RecordingSetup(recorder, full_frames=True))
+        archive = Archive(RecordingSetup(recorder, wanted=RecordingSettings(whole_frames=True)))
         cell = cell_with(settings, around, Path(folder), step, known, archive=archive)
         try:
             result = cell.run_cycle(1, filmed(filming, decides=decides))

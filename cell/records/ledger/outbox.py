@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from cell.files.atomic import write_new
 from cell.files.words import counted
@@ -92,16 +92,6 @@ def _number(file: Path) -> int:
     return int(digits) if digits.isdigit() else 0
 
 
-class WritesEntries(Protocol):
-    """Interface of a ledger that entries are written to."""
-
-    def write(self, entries: Sequence[LedgerEntry]) -> None:
-        """Write entries, all or none.  Raises LedgerError."""
-
-    def close(self) -> None:
-        """Close its connections."""
-
-
 class LaterLedger:
     """A ledger that is opened, and created if it is missing, at the first write."""
 
@@ -131,7 +121,7 @@ class LedgerWriter:
     notes   messages for a person
     """
 
-    def __init__(self, ledger: WritesEntries, outbox: Path) -> None:
+    def __init__(self, ledger: LaterLedger, outbox: Path) -> None:
         self.notes: list[str] = []
         self._ledger = ledger
         self._outbox = Outbox(outbox)
