@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
+from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.geometry import moves_from_s
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
@@ -144,10 +144,9 @@ def tip_error_m(
     noise: Noise,
 ) -> float:
     """Root mean square residual at the tip in excess of the noise, m."""
-    tip, square, count, begin = int(np.argmax(arc_length_m)), 0.0, 0, 0
-    for whitener in whiteners:
-        error = whitener.error_m(white_residual[begin : begin + whitener.rows])[:, tip]
-        begin += whitener.rows
+    tip, square, count = int(np.argmax(arc_length_m)), 0.0, 0
+    for whitener, block in _blocks(white_residual, whiteners):
+        error = whitener.error_m(block)[:, tip]
         square += float(np.nansum(error**2))
         count += int(np.isfinite(error).sum())
     return float(np.sqrt(max(0.0, square / max(1, count) - noise.std_m**2)))
@@ -169,16 +168,15 @@ def _gripper_covariance(
     responses = np.zeros((options.gripper_errors.samples, len(solution.q)))
     if options.gripper_errors.samples == 0:
         return np.zeros_like(solution.covariance)
-    begin = 0
-    for trial, whitener in zip(trials, whiteners, strict=True):
-        rows = slice(begin, begin + whitener.rows)
-        begin += whitener.rows
+    for trial, (whitener, jacobian) in zip(
+        trials, _blocks(solution.jacobian, whiteners), strict=True
+    ):
         if predicted is not None:
             nodes_m = np.concatenate([predicted.markers_m[:1], predicted.others_m])
         else:
             nodes_m = _with_sampled_grips(trial, arc_length_m, model, options)
         white = whitener(nodes_m)
-        responses -= (white[1:] - white[0]) @ solution.jacobian[rows]
+        responses -= (white[1:] - white[0]) @ jacobian
     responses = responses @ solution.covariance
     covariance: FloatArray = responses.T @ responses / options.gripper_errors.samples
     return covariance
@@ -257,35 +255,21 @@ def predict_lanes(
     """(T, markers, 2) positions of the markers of each lane, m.  All lanes begin alike.
 
     impossible  value of a lane that cannot be simulated; the others are not affected
-    gauge       sensor of the wrench, which follows the markers as in `simulate_gauged`
+    gauge       sensor of the wrench, which follows the markers as in `simulate_each`
     """
     trial = lanes[0].trial
-    models, motions = [lane.model for lane in lanes], [lane.trial.grip for lane in lanes]
-    times = [lane.times_s for lane in lanes]
-    bent = [lane.modes for lane in lanes if lane.modes is not None]
-    if gauge is not None:
-        begin = Beginning.of(trial.start, trial.release_s, bent, len(lanes))
-        predicted = simulate_gauged(
-            models,
-            motions,
-            times,
-            arc_length_m,
-            gauge,
-            solver=solver,
-            begin=begin,
-            means=[lane.means for lane in lanes],
-        )
-    else:
-        predicted = simulate_each(
-            models,
-            motions,
-            times,
-            arc_length_m,
-            solver=solver,
-            start=trial.start,
-            release_s=trial.release_s,
-            bent=bent,
-        )
+    predicted = simulate_each(
+        [lane.model for lane in lanes],
+        [lane.trial.grip for lane in lanes],
+        [lane.times_s for lane in lanes],
+        arc_length_m,
+        solver=solver,
+        start=trial.start,
+        release_s=trial.release_s,
+        bent=[lane.modes for lane in lanes if lane.modes is not None],
+        gauge=gauge,
+        means=[lane.means for lane in lanes],
+    )
     return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in predicted]
 
 
@@ -310,12 +294,9 @@ def variance_inflation(
     count = sum(w.count for w in whiteners)
     mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
     channels: list[FloatArray] = []
-    begin = 0
-    for whitener in whiteners:
-        block = white_residual[begin : begin + whitener.rows]
+    for whitener, block in _blocks(white_residual, whiteners):
         grid = block.reshape(-1, whitener.channels, whitener.frames)
         channels += [g.reshape(-1, g.shape[-1]) for g in whitener.own_rows(grid) if g.size]
-        begin += whitener.rows
     time, powers = 1.0, [float(np.sum(c * c)) for c in channels]
     for lag in range(1, max(c.shape[1] for c in channels) // 2):
         # a short trial has no information on long lags
@@ -330,12 +311,18 @@ def variance_inflation(
 
 def rms_m(white_residual: FloatArray, whiteners: Sequence[Whitener]) -> float:
     """Root mean square of measured − predicted per coordinate, m."""
-    square, begin = 0.0, 0
-    for whitener in whiteners:
-        error = whitener.error_m(white_residual[begin : begin + whitener.rows])
-        square += float(np.nansum(error**2))
-        begin += whitener.rows
+    square = 0.0
+    for whitener, block in _blocks(white_residual, whiteners):
+        square += float(np.nansum(whitener.error_m(block) ** 2))
     return float(np.sqrt(square / sum(w.count for w in whiteners)))
+
+
+def _blocks(
+    rows: FloatArray, whiteners: Sequence[Whitener]
+) -> Iterator[tuple[Whitener, FloatArray]]:
+    """Each trial's whitener, and its part of all rows."""
+    ends = np.cumsum([w.rows for w in whiteners])
+    return zip(whiteners, np.split(rows, ends[:-1]), strict=True)
 
 
 def _residuals(

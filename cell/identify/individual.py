@@ -134,7 +134,7 @@ def identify(
         raise CableRejectedError(Reason.NO_STILL_FRAMES, str(error)) from error
     try:
         if options.method == "paper":
-            identified = fit_as_paper(
+            return fit_as_paper(
                 trial,
                 arc_length_m,
                 cable,
@@ -143,20 +143,17 @@ def identify(
                 prior=options.kind.weak,
                 options=options.fit,
             )
-        else:
-            space = options.kind.space(cable, gravity_m_per_s2, pull_m_per_s2)
-            identified = fit(
-                [free],
-                arc_length_m[hangs],
-                space,
-                noise=noise,
-                previous=previous,
-                predicted=predicted,
-                options=options.fit,
-            )
+        return fit(
+            [free],
+            arc_length_m[hangs],
+            options.kind.space(cable, gravity_m_per_s2, pull_m_per_s2),
+            noise=noise,
+            previous=previous,
+            predicted=predicted,
+            options=options.fit,
+        )
     except FitError as error:
         raise CableRejectedError(Reason.NO_FIT, str(error)) from error
-    return identified
 
 
 def predict_frames(
@@ -196,14 +193,11 @@ def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
         )
     tip = trial.markers.xy_m[after & detected, 0]
     t_s = trial.markers.t_s[after & detected]
-    grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in _xy(trial.grip)])
+    places = trial.grip.x_m, trial.grip.y_m
+    grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in places])
     swing_m = float(np.ptp(tip - grip, axis=0).max())
     if swing_m < acceptance.least_swing_m:
         raise CableRejectedError(
             Reason.LITTLE_SWING,
             f"the tip swings by {swing_m * 1e3:.2f} mm, needs {acceptance.least_swing_m * 1e3:.2f}",
         )
-
-
-def _xy(motion: Motion) -> tuple[FloatArray, FloatArray]:
-    return motion.x_m, motion.y_m

@@ -42,8 +42,10 @@ class PredictedFrames:
         To first order in the frames' delay.
         returns  None if the actual hold differs from the predicted one
         """
-        late_s = _late_s(trial.markers.t_s, self.t_s)
-        if late_s is None or not _same_motion(trial.grip, self.grip):
+        if trial.markers.t_s.shape != self.t_s.shape:
+            return None
+        late_s = trial.markers.t_s - self.t_s
+        if np.abs(late_s).max() > MOST_OFF_S or not _same_motion(trial.grip, self.grip):
             return None
         shift_m = [trial.grip.x_m[0] - self.grip.x_m[0], trial.grip.y_m[0] - self.grip.y_m[0]]
         markers_m, others_m = (
@@ -77,12 +79,6 @@ def _later(
                     rise += on * (markers_m[lane, after, m, c] - here)
                     out[lane, t, m, c] = here + rise + shift_m[c]
     return out
-
-
-def _late_s(t_s: FloatArray, predicted_s: FloatArray) -> FloatArray | None:
-    if t_s.shape != predicted_s.shape or np.abs(t_s - predicted_s).max() > MOST_OFF_S:
-        return None
-    return t_s - predicted_s
 
 
 def _same_motion(motion: Motion, predicted: Motion) -> bool:
