@@ -67,7 +67,7 @@ class Outbox:
                 entries.append((file, LedgerEntry.from_json(json.loads(file.read_text("utf-8")))))
             except FileNotFoundError:  # another cell has just written it
                 continue
-            except (ValueError, KeyError, TypeError) as error:
+            except ValueError as error:
                 _LOG.error("%s is no entry of a ledger: %s: it is put aside", file, error)
                 with suppress(OSError):
                     file.rename(file.with_suffix(".bad"))
