@@ -9,7 +9,7 @@ from numba import njit
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import STILL, Motion
+from cell.cable.geometry import STILL, Motion, away_from
 from cell.cable.solver import Solver
 from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.identify.parameters import ParameterSpace, difference_points
@@ -82,7 +82,7 @@ def _later(
 
 
 def _same_motion(motion: Motion, predicted: Motion) -> bool:
-    for name, limit in STILL.by_axis().items():
+    for name, limit in STILL.items():
         expected = np.interp(motion.t_s, predicted.t_s, getattr(predicted, name))
         if np.abs(getattr(motion, name) - expected).max() > limit:
             return False
@@ -98,10 +98,7 @@ def extended_at_rest(motion: Motion, until_s: float) -> Motion:
     more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
     if more <= 0:
         return motion
-    moved = np.zeros(len(motion.t_s), dtype=bool)
-    for name, limit in STILL.by_axis().items():
-        value = getattr(motion, name)
-        moved |= np.abs(value - np.median(value[-10:])) > limit
+    moved = away_from(motion, slice(-10, None))
     count = int(np.argmax(moved[::-1])) if moved.any() else len(moved)
     back = len(moved) - 1 - np.arange(max(1, count // 2))
     again = np.resize(np.concatenate([back, back[::-1]]), more)

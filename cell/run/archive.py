@@ -26,7 +26,7 @@ from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings, required
-from cell.run.station import ProductTask, Station, Task
+from cell.run.station import ProductTask, Station
 from cell.settings.records import RecordingSettings
 from cell.study.data import Study
 
@@ -38,16 +38,12 @@ _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 class RecordingSetup:
     """How cycles are recorded.
 
-    settings     as resolved for the product of a cycle
-    files        texts that they refer to, by path: the calibration, the user's effects
     wanted       which recordings are stored, and whether with full frames
     retention    deletes old recordings to make room; None = nothing is deleted
     uploads      sends recordings to a store; None = they stay
     """
 
     recorder: Recorder
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
     wanted: RecordingSettings = field(default_factory=RecordingSettings)
     retention: Retention | None = None
     uploads: Uploads | None = None
@@ -91,7 +87,7 @@ class CycleRecording:
         cycle: int,
         started: datetime,
         plan: Mapping[str, Any],
-        task: Task,
+        made: ProductTask,
     ) -> None:
         """The cycle begins; `plan` describes its steps."""
         if self._recording is None:
@@ -102,15 +98,14 @@ class CycleRecording:
             self._recording = None
             return
         self._path = folder / form.FILE
-        recorder = self._recording.recorder
+        recorder, task = self._recording.recorder, made.task
         whole = self._recording.wanted.whole_frames
         vision = None if whole else VisionSetup(task.view, task.vision)
         recorder.begin(self._path, recording_metadata(cycle, started), vision)
         identity = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         corners_px = task.view.to_pixels(task.destination.corners_m)
         recorder.event(form.CYCLE, {**identity, **plan, "destination_px": corners_px.tolist()})
-        settings, files = dict(self._recording.settings), dict(self._recording.files)
-        recorder.event(form.SETTINGS, {"settings": settings, "files": files})
+        recorder.event(form.SETTINGS, {"settings": made.settings, "files": made.files})
 
     def state(self, state: str, step: str | None) -> None:
         """A step begins, or the cell's state changes."""
@@ -217,13 +212,11 @@ class LedgerSetup:
     """The ledger of a cell's cycles, and the columns that are the same for all of them.
 
     line         that the cell belongs to
-    calibration  hash of its files; None = as typed
     software     version of this program
     """
 
     ledger: LedgerWriter
     line: str
-    calibration: str | None = None
     software: str | None = None
 
 
@@ -241,7 +234,7 @@ class CycleListing:
         started: datetime,
         aim: str,
         part: str | None,
-        product: str | None = None,
+        made: ProductTask,
     ) -> None:
         """The cycle begins."""
         if self._setup is None:
@@ -253,8 +246,8 @@ class CycleListing:
             started=started.astimezone(UTC),
             aim=aim,
             part=part,
-            product=product,
-            calibration=self._setup.calibration,
+            product=made.name,
+            calibration=made.calibration,
             software=self._setup.software,
         )
         self._setup.ledger.put(self._entry)
@@ -309,16 +302,6 @@ class Archive:
 
     recording: RecordingSetup | None = None
     ledger: LedgerSetup | None = None
-
-    def recording_of(self, task: ProductTask) -> RecordingSetup | None:
-        """How cycles of a product are recorded: with its settings and files."""
-        if self.recording is None:
-            return None
-        return replace(self.recording, settings=task.settings, files=task.files)
-
-    def ledger_of(self, task: ProductTask) -> LedgerSetup | None:
-        """The ledger for cycles of a product, with its calibration."""
-        return None if self.ledger is None else replace(self.ledger, calibration=task.calibration)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for a person."""
