@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import time as time_of_day
 from functools import partial
 from importlib.metadata import version
@@ -215,19 +215,12 @@ def emulators_asked_for(settings: Settings, config: Path, seed: int) -> Iterator
         yield
 
 
-@dataclass(frozen=True)
-class StagedDevices:
-    """Guarded devices, and the simulated assistant for calibrations; None = a person assists."""
-
-    devices: Devices
-    assistant: SimulatedAssistant | None
-
-
 @contextmanager
 def staged_devices(
     settings: Settings, config: Path, calibration: Calibrated, seed: int, views: int
-) -> Iterator[StagedDevices]:
+) -> Iterator[tuple[Devices, SimulatedAssistant | None]]:
     """The devices of a cell that is to be calibrated, owned and none of them connected yet.
+    With the simulated assistant; None = a person assists.
 
     views   of the board that a simulated assistant has ready
     raises  InputError: another program owns them; emulators do not start, or run already
@@ -251,7 +244,7 @@ def staged_devices(
                 emulated = stack.enter_context(emulating(settings, config, seed))
                 assistant = SimulatedAssistant(settings, emulated.camera.notify, seed, views)
             devices = real_devices(settings, calibration)
-        yield StagedDevices(guarded_devices(settings, devices), assistant)
+        yield guarded_devices(settings, devices), assistant
 
 
 def twin_devices(twins: Twins) -> Devices:
