@@ -28,6 +28,10 @@ _MATTERS = 1.3
 #: With predicted frames a single linear step is taken if it is shorter than `tolerance` standard
 #: deviations.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, max_iterations=1)
+MINIMISER = gauss_newton.Options(tolerance=1.5)
+#: A cold start is first fitted to this much of the swing, s, so that model and measurement do not
+#: differ by a full period; EI of the cables that are tried, in units of ρ g L³.
+_FIRST_WINDOW_S, _START_RANGE = 0.4, (0.05, 20.0)
 #: Attempts after a fit that does not converge, in this order; then its last point is the result.
 _CONTINUED, _RESTARTED = "continued", "restarted"
 
@@ -37,19 +41,15 @@ class FitOptions:
     """Options of a fit.
 
     solver           of the cable engine; its error should be well below the noise
-    minimiser        see `gauss_newton`
+
     gripper_errors   uncertainty of the logged motion
-    first_window_s   a cold start is first fitted to this much of the swing, so that model and
-                     measurement do not differ by a full period
-    starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
+    starts           uniform cables tried for a cold start
     """
 
     solver: Solver = Solver(segments=30)  # noqa: RUF009
     gripper_errors: GripperLogErrors = GripperLogErrors()  # noqa: RUF009
-    minimiser: gauss_newton.Options = gauss_newton.Options(tolerance=1.5)  # noqa: RUF009
-    first_window_s: float = 0.4
+
     starts: int = 32
-    start_range: tuple[float, float] = (0.05, 20.0)
 
 
 class FitError(ValueError):
@@ -97,7 +97,7 @@ def fit(
         whiteners = whiteners_of(trials, used)
         residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, predicted)
         try:
-            minimiser = options.minimiser if predicted is None else _ONE_STEP
+            minimiser = MINIMISER if predicted is None else _ONE_STEP
             solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
@@ -359,19 +359,19 @@ def _cold_start(
 
     The noise is at least a hundredth of the cable's length.
     """
-    beginning = [_window(trials[0], options.first_window_s)]
+    beginning = [_window(trials[0], _FIRST_WINDOW_S)]
     rough = replace(noise, std_m=max(noise.std_m, 0.01 * space.cable.free_length_m))
     whiteners = whiteners_of(beginning, rough)
     residuals = _residuals(beginning, arc_length_m, space, whiteners, options.solver)
     weight = space.cable.loaded_density_kg_per_m * space.scale_m_per_s2
-    row = np.geomspace(*options.start_range, options.starts) * weight
+    row = np.geomspace(*_START_RANGE, options.starts) * weight
     starts = np.array([space.start(r * space.cable.free_length_m**3) for r in row])
     cost = np.sum(residuals(starts) ** 2, axis=1)
     if not np.isfinite(cost).any():
         raise FitError("no cable of any stiffness can be simulated on this motion")
     best = starts[int(np.nanargmin(np.where(np.isfinite(cost), cost, np.nan)))]
     problem = _problem(space, residuals)
-    return gauss_newton.minimise(problem, best, options.minimiser).q
+    return gauss_newton.minimise(problem, best, MINIMISER).q
 
 
 def _window(trial: Trial, duration_s: float) -> Trial:

@@ -129,7 +129,6 @@ def identify(
                 cable,
                 gravity_m_per_s2,
                 noise=noise,
-                prior=options.kind.weak,
                 options=options.fit,
             )
         return fit(
