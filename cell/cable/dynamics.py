@@ -58,9 +58,7 @@ def simulate_each(
     arc_length_m: FloatArray,
     *,
     solver: Solver = DEFAULT_SOLVER,
-    start: Start = "equilibrium",
-    release_s: float | None = None,
-    bent: Sequence[FloatArray] = (),
+    begin: Beginning | None = None,
     gauge: Gauge | None = None,
     means: Sequence[RowMeans | None] = (),
 ) -> list[FloatArray]:
@@ -69,6 +67,7 @@ def simulate_each(
     All lanes begin when the first of them does, and share one grid of steps.  Lanes that cannot be
     simulated are nan instead of raising, and do not affect the others.
 
+    begin    of all lanes; None = from rest
     gauge    sensor of the wrench at the clamp: two further points follow the markers, the force
              x, y, N, that clamp and sensor exert on cable and tool, and its moment about the
              gripping point, N·m, with a 0.  Before a cable is let go its wrench is that of the
@@ -82,7 +81,7 @@ def simulate_each(
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
     points = np.size(arc_length_m) + (0 if gauge is None else AS_POINTS)
     out = [np.empty((t.size, points, 2)) for t in times]
-    begin = Beginning.of(start, release_s, bent, len(batch))
+    begin = Beginning.of("equilibrium", None, (), len(batch)) if begin is None else begin
     swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge, means=tuple(means))
     _simulate(swing, begin, arc_length_m, out, spared=True)
     return out

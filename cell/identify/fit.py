@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.dynamics import simulate, simulate_each
+from cell.cable.dynamics import Beginning, simulate, simulate_each
 from cell.cable.geometry import moves_from_s
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
@@ -258,15 +258,14 @@ def predict_lanes(
     gauge       sensor of the wrench, which follows the markers as in `simulate_each`
     """
     trial = lanes[0].trial
+    bent = [lane.modes for lane in lanes if lane.modes is not None]
     predicted = simulate_each(
         [lane.model for lane in lanes],
         [lane.trial.grip for lane in lanes],
         [lane.times_s for lane in lanes],
         arc_length_m,
         solver=solver,
-        start=trial.start,
-        release_s=trial.release_s,
-        bent=[lane.modes for lane in lanes if lane.modes is not None],
+        begin=Beginning.of(trial.start, trial.release_s, bent, len(lanes)),
         gauge=gauge,
         means=[lane.means for lane in lanes],
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import simulate, simulate_each
+from cell.cable.dynamics import Beginning, simulate, simulate_each
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Connector, Motion
 from cell.cable.model import CableModel
@@ -26,10 +26,10 @@ def places(cable):
     return 0.5 * (1.0 + ROOTS) * cable.free_length_m
 
 
-def gauged(model, hand, t_s, gauge=BARE, solver=FINE, **begin):
+def gauged(model, hand, t_s, gauge=BARE, solver=FINE, begin=None):
     """Markers (T, 60, 2) at Gauss points, force (T, 2) and moment (T,)."""
     arcs = places(model.cable)
-    (out,) = simulate_each(model, hand, [t_s], arcs, gauge=gauge, solver=solver, **begin)
+    (out,) = simulate_each(model, hand, [t_s], arcs, gauge=gauge, solver=solver, begin=begin)
     return out[:, :-2], out[:, -2], out[:, -1, 0]
 
 
@@ -206,8 +206,8 @@ def test_markers_are_those_of_a_simulation_without_a_gauge():
 def test_a_cable_let_go_is_held_from_then_on():
     """A straight cable at the moment of release: the moment of a free rod's first acceleration."""
     model = CableModel.uniform(CABLE, RIGIDITY)
-    times = np.array([0.0, 0.1, 0.4])
-    _, force, _ = gauged(model, still(), times, start="straight", release_s=0.1)
+    begin = Beginning.of("straight", 0.1, (), 1)
+    _, force, _ = gauged(model, still(), np.array([0.0, 0.1, 0.4]), begin=begin)
     assert force[0, 1] == force[1, 1]
     weight = CABLE.line_density_kg_per_m * CABLE.free_length_m * 9.81
     assert 0.0 < force[0, 1] < 0.7 * weight < force[2, 1]
