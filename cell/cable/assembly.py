@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -249,33 +249,31 @@ def _total_length_m(model: CableModel) -> float:
     return model.cable.free_length_m + _sum(model, "extra_length")
 
 
+def _results(model: CableModel, hook: str, *where: FloatArray) -> Iterator[Any]:
+    """Results of a hook, of each of the model's effects that has it."""
+    for active in model.effects:
+        if (function := getattr(active.effect, hook)) is not None:
+            yield function(cable_data(model), *where, parameters(active))
+
+
 def _sum(model: CableModel, hook: str) -> float:
     total = 0.0
-    for active in model.effects:
-        function = getattr(active.effect, hook)
-        if function is not None:
-            total += float(function(cable_data(model), parameters(active)))
+    for value in _results(model, hook):
+        total += float(value)
     return total
 
 
 def _point_masses(model: CableModel) -> list[tuple[float, float]]:
     """Mass, kg, and arc length, m, of every point mass that is not at the tip."""
-    masses = []
-    for active in model.effects:
-        if active.effect.point_mass is not None:
-            mass, arc_m = active.effect.point_mass(cable_data(model), parameters(active))
-            if mass != 0.0:
-                masses.append((float(mass), float(max(arc_m, 0.0))))
-    return masses
+    masses = _results(model, "point_mass")
+    return [(float(mass), float(max(arc_m, 0.0))) for mass, arc_m in masses if mass != 0.0]
 
 
 def _grip(model: CableModel) -> tuple[float, float]:
     """Compliance of the grip, rad/(N·m), and its retardation time, s."""
     total, weighted = 0.0, 0.0
-    for active in model.effects:
-        if active.effect.grip_compliance is not None:
-            compliance, time = active.effect.grip_compliance(cable_data(model), parameters(active))
-            total, weighted = total + compliance, weighted + compliance * time
+    for compliance, time in _results(model, "grip_compliance"):
+        total, weighted = total + compliance, weighted + compliance * time
     return total, weighted / total if total > 0.0 else 0.0
 
 
@@ -305,11 +303,8 @@ def added_inertia(
 def _rest(model: CableModel, arc_length_m: FloatArray) -> FloatArray:
     """Rest curvature at the hinges, 1/m."""
     total = np.zeros_like(arc_length_m)
-    for active in model.effects:
-        if active.effect.rest_curvature is not None:
-            total += active.effect.rest_curvature(
-                cable_data(model), arc_length_m, parameters(active)
-            )
+    for curvature in _results(model, "rest_curvature", arc_length_m):
+        total += curvature
     return total
 
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from cell.cable.dynamics import simulate
 from cell.cable.effects import compiled
-from cell.cable.effects.base import CableData, Effect, EffectError, HandMotion
+from cell.cable.effects.base import COMPILED, CableData, Effect, EffectError, HandMotion
 from cell.cable.effects.check import HOOKS
 from cell.cable.effects.compiled import loops_of
 from cell.cable.effects.library import library, load_source, try_source, unscreened
-from cell.cable.effects.own import COMPILED, first_line, run_engine
+from cell.cable.effects.own import first_line, run_engine
+from cell.cable.effects.remote import WRITTEN
 from cell.cable.geometry import Cable, Motion
 from cell.cable.model import CableModel
 from cell.cable.statics import balance
@@ -23,11 +24,8 @@ from cell.cable.stepping import integrate
 from cell.computer.confinement import MEMORY_BYTES
 from cell.computer.sandbox import Channel, libraries, tend
 
-#: Functions of the engine by name, and which of their arguments they write to.
-ENGINE: dict[str, tuple[Any, tuple[int, ...]]] = {
-    "balance": (balance, (0,)),
-    "integrate": (integrate, (0, 9, 10)),
-}
+#: Functions of the engine by name.
+ENGINE: dict[str, Any] = {"balance": balance, "integrate": integrate}
 #: Longest text of a law's description, characters.
 _LONGEST = 2000
 
@@ -71,7 +69,6 @@ def _done(channel: Channel, request: Any, effects: dict[str, type[Effect]]) -> d
     if "hook" in request:
         effect = effects[request["effect"]]
         return {"value": _called(channel, effect, request["hook"], *request["args"])}
-    function, written = ENGINE[request["engine"]]
     args = list(request["args"])
     known = library() | unscreened() | effects
     tuple_at = next(i for i, a in enumerate(args) if isinstance(a, tuple))
@@ -82,8 +79,9 @@ def _done(channel: Channel, request: Any, effects: dict[str, type[Effect]]) -> d
     )
     args[tuple_at] = (*addresses, *others)
     own = tuple(effects[n] for n in dict.fromkeys([*forces, *moments]) if n in effects)
-    result = run_engine(function, own, *args)
-    return {"value": int(result), "arrays": [args[i] for i in written], "memory": others[2]}
+    name = request["engine"]
+    result = run_engine(ENGINE[name], own, *args)
+    return {"value": int(result), "arrays": [args[i] for i in WRITTEN[name]], "memory": others[2]}
 
 
 def _called(channel: Channel, effect: type[Effect], hook: str, *args: Any) -> Any:

@@ -58,49 +58,29 @@ def simulate_each(
     arc_length_m: FloatArray,
     *,
     solver: Solver = DEFAULT_SOLVER,
-    start: Start = "equilibrium",
-    release_s: float | None = None,
-    bent: Sequence[FloatArray] = (),
+    begin: Beginning | None = None,
+    gauge: Gauge | None = None,
+    means: Sequence[RowMeans | None] = (),
 ) -> list[FloatArray]:
     """Positions of markers of each lane at its own times, (times, markers, 2); as `simulate`.
 
     All lanes begin when the first of them does, and share one grid of steps.  Lanes that cannot be
     simulated are nan instead of raising, and do not affect the others.
+
+    begin    of all lanes; None = from rest
+    gauge    sensor of the wrench at the clamp: two further points follow the markers, the force
+             x, y, N, that clamp and sensor exert on cable and tool, and its moment about the
+             gripping point, N·m, with a 0.  Before a cable is let go its wrench is that of the
+             moment after
+    means    of each lane: the times with means of the sensor's rows instead of its value then;
+             () = none
     """
     batch, paths = _lanes(models, motions)
     times = each_once(increasing, times_s)
     if len(times) != len(batch):
         raise ValueError(f"times of {len(times)} lanes for {len(batch)}: give one array per lane")
-    out = [np.empty((t.size, np.size(arc_length_m), 2)) for t in times]
-    begin = Beginning.of(start, release_s, bent, len(batch))
-    swing = begin.swing(batch, paths, times, solver)
-    _simulate(swing, begin, arc_length_m, out, spared=True)
-    return out
-
-
-def simulate_gauged(
-    models: CableModel | Sequence[CableModel],
-    motions: Motion | Sequence[Motion],
-    times_s: Sequence[FloatArray],
-    arc_length_m: FloatArray,
-    gauge: Gauge,
-    *,
-    solver: Solver = DEFAULT_SOLVER,
-    begin: Beginning | None = None,
-    means: Sequence[RowMeans | None] = (),
-) -> list[FloatArray]:
-    """Markers of each lane, as `simulate_each`, and the wrench measured by a sensor at the clamp.
-
-    begin    of all lanes; None = from rest
-    means    of each lane: the times with means of the sensor's rows instead of its value then;
-             () = none
-    returns  (times, markers + 2, 2) of each lane: behind the markers the force x, y, N, that clamp
-             and sensor exert on cable and tool, and its moment about the gripping point, N·m, with
-             a 0.  Before a cable is let go its wrench is that of the moment after
-    """
-    batch, paths = _lanes(models, motions)
-    times = each_once(increasing, times_s)
-    out = [np.empty((t.size, np.size(arc_length_m) + AS_POINTS, 2)) for t in times]
+    points = np.size(arc_length_m) + (0 if gauge is None else AS_POINTS)
+    out = [np.empty((t.size, points, 2)) for t in times]
     begin = Beginning.of("equilibrium", None, (), len(batch)) if begin is None else begin
     swing = replace(begin.swing(batch, paths, times, solver), gauge=gauge, means=tuple(means))
     _simulate(swing, begin, arc_length_m, out, spared=True)

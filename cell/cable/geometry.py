@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
 
@@ -175,40 +176,36 @@ def node_arc_lengths(free_length_m: float, nodes: int = 11) -> FloatArray:
     return np.linspace(free_length_m, 0.0, nodes)
 
 
-@dataclass(frozen=True)
-class StillWithin:
-    """Largest distance from its start at which a gripper counts as still: m per axis, and rad."""
-
-    position_m: float
-    angle_rad: float
-
-    def by_axis(self) -> dict[str, float]:
-        """The limit of every axis of a `Motion`, by its name."""
-        return {"x_m": self.position_m, "y_m": self.position_m, "angle_rad": self.angle_rad}
-
-
-#: A gripper this close to where it began has not moved yet: above the noise and vibration of an arm
-#: that is held, below what swings a cable visibly.
-STILL = StillWithin(1e-4, 2e-3)
+#: Largest distance from its start at which a gripper counts as still, by axis of a `Motion`, m and
+#: rad: above the noise and vibration of an arm that is held, below what swings a cable visibly.
+STILL: Mapping[str, float] = {"x_m": 1e-4, "y_m": 1e-4, "angle_rad": 2e-3}
 #: The same for measurements of unknown origin, whose log may be far noisier.
-ROUGHLY_STILL = StillWithin(1e-3, 0.01)
+ROUGHLY_STILL: Mapping[str, float] = {"x_m": 1e-3, "y_m": 1e-3, "angle_rad": 0.01}
 
 
 #: Samples of a log in a row that a gripper must be away: one or two are a glitch of the log.
 AWAY_SAMPLES = 3
 
 
-def moves_from_s(motion: Motion, still: StillWithin = STILL) -> float:
+def away_from(
+    motion: Motion, samples: slice, still: Mapping[str, float] = STILL
+) -> NDArray[np.bool_]:
+    """(T,) whether the gripper is not still, compared with its median place in some samples."""
+    away = np.zeros(len(motion.t_s), dtype=bool)
+    for name, limit in still.items():
+        value = getattr(motion, name)
+        away |= np.abs(value - np.median(value[samples])) > limit
+    return away
+
+
+def moves_from_s(motion: Motion, still: Mapping[str, float] = STILL) -> float:
     """Time at which the gripper first leaves where it began, s; `inf` if it never does.
 
     Samples of the log that are wrong by more than the limit, `AWAY_SAMPLES` − 1 of them in a row
     at most, are no motion.
     """
     first = slice(0, max(1, min(10, len(motion.t_s) // 10)))
-    away = np.zeros(len(motion.t_s), dtype=bool)
-    for name, limit in still.by_axis().items():
-        value = getattr(motion, name)
-        away |= np.abs(value - np.median(value[first])) > limit
+    away = away_from(motion, first, still)
     ahead = np.concatenate([away, np.repeat(away[-1:], AWAY_SAMPLES - 1)])
     stays = np.lib.stride_tricks.sliding_window_view(ahead, AWAY_SAMPLES).all(axis=1)
     return float(motion.t_s[stays.argmax()]) if stays.any() else float("inf")

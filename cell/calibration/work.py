@@ -298,13 +298,13 @@ class CalibrationJob:
         settings = self._settings
         nothing = Calibrated(PlaneView(np.eye(3)), 0.0, settings.arm.lag_s)
         known = nothing if settings.camera.view is None else typed(settings)
-        staged = self._stack.enter_context(
+        devices, assistant = self._stack.enter_context(
             staged_devices(settings, self._config, known, self._seed, BOARD_VIEWS)
         )
-        if staged.assistant is not None:
-            self._assistant = staged.assistant
+        if assistant is not None:
+            self._assistant = assistant
         self._session = self._stack.enter_context(
-            opened(settings, staged.devices, moves=True, say=self._say)
+            opened(settings, devices, moves=True, say=self._say)
         )
         return self._session
 

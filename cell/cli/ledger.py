@@ -428,8 +428,9 @@ def acknowledge(
                 if cycle.folder.is_dir():  # not those of other computers, and removed ones
                     acknowledge_record(cycle.folder, ack.by, note)
             listed.acknowledge(chosen, ack)
+    said = {**vars(ack), "at": ack.at.isoformat()}
     data = [
-        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **ack.to_json()}
+        {"folder": str(c.folder), "fault": c.fault.code, "cause": c.fault.cause, **said}
         for c in chosen
         if c.fault is not None
     ]

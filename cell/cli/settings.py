@@ -15,7 +15,7 @@ from cell.cli.output import print_json, show
 from cell.cli.shared import ALL_DONE, NOT_ALL_DONE, Config, group, refuse, refusing, tell_notes
 
 if TYPE_CHECKING:
-    from cell.settings.starting import CellKind, Question
+    from cell.settings.starting import CellKind
 
 app = group()
 _INSTALLED = Path("share", "doc", "cable-cell")
@@ -67,8 +67,8 @@ def init(
     kind: CellKind = "real" if real else "emulated" if emulated else "simulated"
     answers: dict[tuple[str, ...], Any] = {}
     if not yes and _is_interactive():
-        for question in questions(kind):
-            answers[question.key] = _ask(kind, question, answers)
+        for key, words in questions(kind).items():
+            answers[key] = _ask(kind, key, words, answers)
     try:
         text = commented(Settings.model_validate(answered(kind, answers)))
     except ValidationError as error:
@@ -196,16 +196,18 @@ def _is_interactive() -> bool:
     return sys.stdin.isatty()
 
 
-def _ask(kind: CellKind, question: Question, answers: Mapping[tuple[str, ...], Any]) -> Any:
+def _ask(
+    kind: CellKind, key: tuple[str, ...], words: str, answers: Mapping[tuple[str, ...], Any]
+) -> Any:
     """A valid answer: an invalid one is explained, and the prompt repeated."""
     from cell.settings.starting import answer_of, answer_problem, default
 
-    usual = default(kind, question.key)
+    usual = default(kind, key)
     shown = ", ".join(map(str, usual)) if isinstance(usual, list) else str(usual)
     while True:
-        text = typer.prompt(question.words, default=shown, type=str)
+        text = typer.prompt(words, default=shown, type=str)
         answer = usual if text == shown else answer_of(text, usual)
-        wrong = answer_problem(kind, {**answers, question.key: answer}, question.key)
+        wrong = answer_problem(kind, {**answers, key: answer}, key)
         if wrong is None:
             return answer
         print(f"{wrong}; answer again", file=sys.stderr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -109,23 +108,18 @@ def mujoco_tip(
     mujoco.mj_kinematics(model, data)
     tips = np.full((len(times_s), 2), np.nan)
     tips[0] = tip[[0, 2]]
-    unstable = _divergence_warnings(mujoco)
+    kinds = mujoco.mjtWarning  # after these MuJoCo has restarted from its initial state
+    unstable = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
     with without_log():
         for k in range(steps):
             data.ctrl[:] = control[k]
             mujoco.mj_step(model, data)
-            if any(data.warning[w].number for w in unstable):
+            if any(data.warning[int(w)].number for w in unstable):
                 break
             if (k + 1) % every == 0:
                 mujoco.mj_kinematics(model, data)
                 tips[(k + 1) // every] = tip[[0, 2]]
     return tips
-
-
-def _divergence_warnings(mujoco: Any) -> tuple[int, ...]:
-    """Warnings after which MuJoCo has restarted from its initial state."""
-    kinds = mujoco.mjtWarning
-    return tuple(int(k) for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC))
 
 
 def difference(name: str, tip_m: FloatArray, other_m: FloatArray) -> TipDifference:

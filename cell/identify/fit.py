@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
+from cell.cable.dynamics import Beginning, simulate, simulate_each
 from cell.cable.geometry import moves_from_s
 from cell.cable.model import CableModel
 from cell.cable.solver import DivergedError, Solver
@@ -28,6 +28,10 @@ _MATTERS = 1.3
 #: With predicted frames a single linear step is taken if it is shorter than `tolerance` standard
 #: deviations.
 _ONE_STEP = gauss_newton.Options(tolerance=30.0, max_iterations=1)
+MINIMISER = gauss_newton.Options(tolerance=1.5)
+#: A cold start is first fitted to this much of the swing, s, so that model and measurement do not
+#: differ by a full period; EI of the cables that are tried, in units of ρ g L³.
+_FIRST_WINDOW_S, _START_RANGE = 0.4, (0.05, 20.0)
 #: Attempts after a fit that does not converge, in this order; then its last point is the result.
 _CONTINUED, _RESTARTED = "continued", "restarted"
 
@@ -37,19 +41,15 @@ class FitOptions:
     """Options of a fit.
 
     solver           of the cable engine; its error should be well below the noise
-    minimiser        see `gauss_newton`
+
     gripper_errors   uncertainty of the logged motion
-    first_window_s   a cold start is first fitted to this much of the swing, so that model and
-                     measurement do not differ by a full period
-    starts           uniform cables tried for a cold start, over `start_range` in units of ρ g L³
+    starts           uniform cables tried for a cold start
     """
 
     solver: Solver = Solver(segments=30)  # noqa: RUF009
     gripper_errors: GripperLogErrors = GripperLogErrors()  # noqa: RUF009
-    minimiser: gauss_newton.Options = gauss_newton.Options(tolerance=1.5)  # noqa: RUF009
-    first_window_s: float = 0.4
+
     starts: int = 32
-    start_range: tuple[float, float] = (0.05, 20.0)
 
 
 class FitError(ValueError):
@@ -97,7 +97,7 @@ def fit(
         whiteners = whiteners_of(trials, used)
         residuals = _residuals(trials, arc_length_m, space, whiteners, options.solver, predicted)
         try:
-            minimiser = options.minimiser if predicted is None else _ONE_STEP
+            minimiser = MINIMISER if predicted is None else _ONE_STEP
             solution = gauss_newton.minimise(_problem(space, residuals), start, minimiser)
         except ValueError as error:
             raise FitError(str(error)) from error
@@ -144,10 +144,9 @@ def tip_error_m(
     noise: Noise,
 ) -> float:
     """Root mean square residual at the tip in excess of the noise, m."""
-    tip, square, count, begin = int(np.argmax(arc_length_m)), 0.0, 0, 0
-    for whitener in whiteners:
-        error = whitener.error_m(white_residual[begin : begin + whitener.rows])[:, tip]
-        begin += whitener.rows
+    tip, square, count = int(np.argmax(arc_length_m)), 0.0, 0
+    for whitener, block in _blocks(white_residual, whiteners):
+        error = whitener.error_m(block)[:, tip]
         square += float(np.nansum(error**2))
         count += int(np.isfinite(error).sum())
     return float(np.sqrt(max(0.0, square / max(1, count) - noise.std_m**2)))
@@ -169,16 +168,15 @@ def _gripper_covariance(
     responses = np.zeros((options.gripper_errors.samples, len(solution.q)))
     if options.gripper_errors.samples == 0:
         return np.zeros_like(solution.covariance)
-    begin = 0
-    for trial, whitener in zip(trials, whiteners, strict=True):
-        rows = slice(begin, begin + whitener.rows)
-        begin += whitener.rows
+    for trial, (whitener, jacobian) in zip(
+        trials, _blocks(solution.jacobian, whiteners), strict=True
+    ):
         if predicted is not None:
             nodes_m = np.concatenate([predicted.markers_m[:1], predicted.others_m])
         else:
             nodes_m = _with_sampled_grips(trial, arc_length_m, model, options)
         white = whitener(nodes_m)
-        responses -= (white[1:] - white[0]) @ solution.jacobian[rows]
+        responses -= (white[1:] - white[0]) @ jacobian
     responses = responses @ solution.covariance
     covariance: FloatArray = responses.T @ responses / options.gripper_errors.samples
     return covariance
@@ -257,35 +255,20 @@ def predict_lanes(
     """(T, markers, 2) positions of the markers of each lane, m.  All lanes begin alike.
 
     impossible  value of a lane that cannot be simulated; the others are not affected
-    gauge       sensor of the wrench, which follows the markers as in `simulate_gauged`
+    gauge       sensor of the wrench, which follows the markers as in `simulate_each`
     """
     trial = lanes[0].trial
-    models, motions = [lane.model for lane in lanes], [lane.trial.grip for lane in lanes]
-    times = [lane.times_s for lane in lanes]
     bent = [lane.modes for lane in lanes if lane.modes is not None]
-    if gauge is not None:
-        begin = Beginning.of(trial.start, trial.release_s, bent, len(lanes))
-        predicted = simulate_gauged(
-            models,
-            motions,
-            times,
-            arc_length_m,
-            gauge,
-            solver=solver,
-            begin=begin,
-            means=[lane.means for lane in lanes],
-        )
-    else:
-        predicted = simulate_each(
-            models,
-            motions,
-            times,
-            arc_length_m,
-            solver=solver,
-            start=trial.start,
-            release_s=trial.release_s,
-            bent=bent,
-        )
+    predicted = simulate_each(
+        [lane.model for lane in lanes],
+        [lane.trial.grip for lane in lanes],
+        [lane.times_s for lane in lanes],
+        arc_length_m,
+        solver=solver,
+        begin=Beginning.of(trial.start, trial.release_s, bent, len(lanes)),
+        gauge=gauge,
+        means=[lane.means for lane in lanes],
+    )
     return [np.full_like(p, impossible) if np.isnan(p).all() else p for p in predicted]
 
 
@@ -310,12 +293,9 @@ def variance_inflation(
     count = sum(w.count for w in whiteners)
     mean_square = float(white_residual @ white_residual) / max(1, count - parameters)
     channels: list[FloatArray] = []
-    begin = 0
-    for whitener in whiteners:
-        block = white_residual[begin : begin + whitener.rows]
+    for whitener, block in _blocks(white_residual, whiteners):
         grid = block.reshape(-1, whitener.channels, whitener.frames)
         channels += [g.reshape(-1, g.shape[-1]) for g in whitener.own_rows(grid) if g.size]
-        begin += whitener.rows
     time, powers = 1.0, [float(np.sum(c * c)) for c in channels]
     for lag in range(1, max(c.shape[1] for c in channels) // 2):
         # a short trial has no information on long lags
@@ -330,12 +310,18 @@ def variance_inflation(
 
 def rms_m(white_residual: FloatArray, whiteners: Sequence[Whitener]) -> float:
     """Root mean square of measured − predicted per coordinate, m."""
-    square, begin = 0.0, 0
-    for whitener in whiteners:
-        error = whitener.error_m(white_residual[begin : begin + whitener.rows])
-        square += float(np.nansum(error**2))
-        begin += whitener.rows
+    square = 0.0
+    for whitener, block in _blocks(white_residual, whiteners):
+        square += float(np.nansum(whitener.error_m(block) ** 2))
     return float(np.sqrt(square / sum(w.count for w in whiteners)))
+
+
+def _blocks(
+    rows: FloatArray, whiteners: Sequence[Whitener]
+) -> Iterator[tuple[Whitener, FloatArray]]:
+    """Each trial's whitener, and its part of all rows."""
+    ends = np.cumsum([w.rows for w in whiteners])
+    return zip(whiteners, np.split(rows, ends[:-1]), strict=True)
 
 
 def _residuals(
@@ -372,19 +358,19 @@ def _cold_start(
 
     The noise is at least a hundredth of the cable's length.
     """
-    beginning = [_window(trials[0], options.first_window_s)]
+    beginning = [_window(trials[0], _FIRST_WINDOW_S)]
     rough = replace(noise, std_m=max(noise.std_m, 0.01 * space.cable.free_length_m))
     whiteners = whiteners_of(beginning, rough)
     residuals = _residuals(beginning, arc_length_m, space, whiteners, options.solver)
     weight = space.cable.loaded_density_kg_per_m * space.scale_m_per_s2
-    row = np.geomspace(*options.start_range, options.starts) * weight
+    row = np.geomspace(*_START_RANGE, options.starts) * weight
     starts = np.array([space.start(r * space.cable.free_length_m**3) for r in row])
     cost = np.sum(residuals(starts) ** 2, axis=1)
     if not np.isfinite(cost).any():
         raise FitError("no cable of any stiffness can be simulated on this motion")
     best = starts[int(np.nanargmin(np.where(np.isfinite(cost), cost, np.nan)))]
     problem = _problem(space, residuals)
-    return gauss_newton.minimise(problem, best, options.minimiser).q
+    return gauss_newton.minimise(problem, best, MINIMISER).q
 
 
 def _window(trial: Trial, duration_s: float) -> Trial:

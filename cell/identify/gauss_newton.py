@@ -225,7 +225,11 @@ class _Point:
 
 def _start(problem: LeastSquaresProblem, start: FloatArray, jacobian: FloatArray | None) -> _Point:
     """The start of a fit."""
-    here = _linearise(problem, start) if jacobian is None else _point_at(problem, start, jacobian)
+    if jacobian is None:
+        here = _linearise(problem, start)
+    else:
+        residual = problem.residuals(start[None])[0]
+        here = _Point(start, residual, jacobian, _objective(problem, start, residual))
     if not here.usable:
         raise UnsimulatedError("the model cannot be simulated at the start of the fit")
     return here
@@ -251,12 +255,6 @@ def _linearise(
     if np.all(np.isfinite(lanes)):
         jacobian = (lanes[1:] - lanes[0]).T / step
     return _Point(q, residual, jacobian, _objective(problem, q, residual), step=problem.step)
-
-
-def _point_at(problem: LeastSquaresProblem, q: FloatArray, jacobian: FloatArray) -> _Point:
-    """The point at q, its Jacobian known."""
-    residual = problem.residuals(q[None])[0]
-    return _Point(q, residual, jacobian, _objective(problem, q, residual))
 
 
 def jacobian_at(problem: LeastSquaresProblem, q: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -102,6 +102,7 @@ class Identified:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; `from_dict` reads it back."""
         low, high = self.interval()
+        pull = self.space.pull_m_per_s2
         return {
             "format": FORMAT,
             "method": self.method,
@@ -127,14 +128,9 @@ class Identified:
             "frames_used": self.frames_used,
             "frames_total": self.frames_total,
             "passes": self.iterations,
-            **self._pull(),
+            **({} if pull is None else {"pull_m_per_s2": pull}),
             **({"lacks": list(self.lacks)} if self.lacks else {}),
         }
-
-    def _pull(self) -> dict[str, float]:
-        """The acceleration that replaces a weak gravity; empty without."""
-        pull = self.space.pull_m_per_s2
-        return {} if pull is None else {"pull_m_per_s2": pull}
 
     def _effect_files(self) -> dict[str, dict[str, dict[str, str | bool]]]:
         """Files of a user's own effects; empty if there are none."""

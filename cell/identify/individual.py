@@ -20,6 +20,10 @@ from cell.identify.paper import fit_as_paper
 from cell.identify.predicted_frames import PredictedFrames, simulate_frames
 from cell.study.data import Markers, Trial
 
+#: Least share of the swing's frames in which the cable is detected, and least range of the tip's
+#: motion relative to the gripper, m, of a cable that is to be identified.
+MIN_DETECTED, LEAST_SWING_M = 0.7, 0.002
+
 
 class Reason(StrEnum):
     """Reasons for the rejection of a cable."""
@@ -39,21 +43,6 @@ class CableRejectedError(Exception):
 
 
 @dataclass(frozen=True)
-class Acceptance:
-    """Conditions on the frames of a cable that is to be identified.
-
-    min_detected      least share of the frames of the swing in which the cable is detected
-    least_swing_m     range of the tip's motion relative to the gripper
-
-    The model's misfit is no condition: it widens the forecast, and the probability of passing
-    decides.
-    """
-
-    min_detected: float = 0.7
-    least_swing_m: float = 0.002
-
-
-@dataclass(frozen=True)
 class IdentifyOptions:
     """Options of identification.
 
@@ -64,7 +53,7 @@ class IdentifyOptions:
     method: Literal["map", "paper"] = "map"
     kind: ModelClass = ModelClass()  # noqa: RUF009
     fit: FitOptions = FitOptions(gripper_errors=GripperLogErrors(offset_m=2e-6, offset_rad=2e-5))  # noqa: RUF009
-    acceptance: Acceptance = Acceptance()
+
     bias_m: float = 6e-6
 
 
@@ -123,7 +112,7 @@ def identify(
     pull_m_per_s2  in place of gravity where that is weak, see `ParameterSpace`
     raises  CableRejectedError
     """
-    _accept_frames(trial, options.acceptance)
+    _accept_frames(trial)
     # the node at the gripping point belongs to the jaw, not to the cable
     hangs = arc_length_m > 0.0
     markers = Markers(trial.markers.t_s, trial.markers.xy_m[:, hangs])
@@ -134,29 +123,25 @@ def identify(
         raise CableRejectedError(Reason.NO_STILL_FRAMES, str(error)) from error
     try:
         if options.method == "paper":
-            identified = fit_as_paper(
+            return fit_as_paper(
                 trial,
                 arc_length_m,
                 cable,
                 gravity_m_per_s2,
                 noise=noise,
-                prior=options.kind.weak,
                 options=options.fit,
             )
-        else:
-            space = options.kind.space(cable, gravity_m_per_s2, pull_m_per_s2)
-            identified = fit(
-                [free],
-                arc_length_m[hangs],
-                space,
-                noise=noise,
-                previous=previous,
-                predicted=predicted,
-                options=options.fit,
-            )
+        return fit(
+            [free],
+            arc_length_m[hangs],
+            options.kind.space(cable, gravity_m_per_s2, pull_m_per_s2),
+            noise=noise,
+            previous=previous,
+            predicted=predicted,
+            options=options.fit,
+        )
     except FitError as error:
         raise CableRejectedError(Reason.NO_FIT, str(error)) from error
-    return identified
 
 
 def predict_frames(
@@ -183,27 +168,29 @@ def predict_frames(
     )
 
 
-def _accept_frames(trial: Trial, acceptance: Acceptance) -> None:
+def _accept_frames(trial: Trial) -> None:
+    """Raise CableRejectedError: the cable is hidden, or it hardly swings.
+
+    The model's misfit is no condition: it widens the forecast, and the probability of passing
+    decides.
+    """
     after = trial.markers.t_s >= moves_from_s(trial.grip)
     detected = np.asarray(np.isfinite(trial.markers.xy_m).all(axis=(1, 2)), dtype=np.bool_)
     moving = int(after.sum())
     share = float(detected[after].mean()) if moving else 0.0
-    if share < acceptance.min_detected:
+    if share < MIN_DETECTED:
         raise CableRejectedError(
             Reason.UNSEEN_FRAMES,
             f"the cable is seen in {int(detected[after].sum())} of {moving} frames of the swing "
-            f"({share:.0%}), needs {acceptance.min_detected:.0%}",
+            f"({share:.0%}), needs {MIN_DETECTED:.0%}",
         )
     tip = trial.markers.xy_m[after & detected, 0]
     t_s = trial.markers.t_s[after & detected]
-    grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in _xy(trial.grip)])
+    places = trial.grip.x_m, trial.grip.y_m
+    grip = np.column_stack([np.interp(t_s, trial.grip.t_s, v) for v in places])
     swing_m = float(np.ptp(tip - grip, axis=0).max())
-    if swing_m < acceptance.least_swing_m:
+    if swing_m < LEAST_SWING_M:
         raise CableRejectedError(
             Reason.LITTLE_SWING,
-            f"the tip swings by {swing_m * 1e3:.2f} mm, needs {acceptance.least_swing_m * 1e3:.2f}",
+            f"the tip swings by {swing_m * 1e3:.2f} mm, needs {LEAST_SWING_M * 1e3:.2f}",
         )
-
-
-def _xy(motion: Motion) -> tuple[FloatArray, FloatArray]:
-    return motion.x_m, motion.y_m

@@ -21,7 +21,7 @@ from cell.cable.effects import (
 )
 from cell.cable.effects.base import after_number
 from cell.cable.geometry import GRAVITY_M_PER_S2, Cable
-from cell.identify.parameters import ParameterSpace, Prior
+from cell.identify.parameters import ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ModelClass:
     names       parameters with a Gaussian prior, as in `ParameterSpace.names`
     mean        their natural values
     covariance  of their fit coordinates: relative for those that are fitted in the logarithm
-    weak        prior of everything else
+
     """
 
     effects: tuple[type[Effect], ...] = ()
@@ -41,7 +41,6 @@ class ModelClass:
     names: tuple[str, ...] = ()
     mean: tuple[float, ...] = ()
     covariance: tuple[tuple[float, ...], ...] = ()
-    weak: Prior = Prior()  # noqa: RUF009
 
     def space(
         self,
@@ -63,7 +62,6 @@ class ModelClass:
             cable,
             gravity_m_per_s2=gravity_m_per_s2,
             effects=self.effects,
-            prior=self.weak,
             exact={
                 **{n: v for n, v in constants.items() if n not in self.names},
                 **dict(self.exact),
@@ -74,7 +72,7 @@ class ModelClass:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled with the files of its effects, so that another process can load them."""
-        rest = (self.exact, self.names, self.mean, self.covariance, self.weak)
+        rest = (self.exact, self.names, self.mean, self.covariance)
         return _rebuilt, (tuple(source_of(e) for e in self.effects), rest)
 
 

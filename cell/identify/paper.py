@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from cell.cable.geometry import Cable
 from cell.cable.model import REFERENCE_CURVATURE_1_PER_M, REGULAR_CURVATURE_1_PER_M
 from cell.identify import gauss_newton
 from cell.identify.fit import (
+    MINIMISER,
     FitError,
     FitOptions,
     frames_detected,
@@ -116,7 +117,6 @@ def fit_as_paper(
     gravity_m_per_s2: tuple[float, float],
     *,
     noise: Noise | None = None,
-    prior: Prior = Prior(),  # noqa: B008
     options: FitOptions = FitOptions(),  # noqa: B008
 ) -> Identified:
     """K_i from the still shape given N, N and C from the swing given K_i, iterated.
@@ -144,9 +144,7 @@ def fit_as_paper(
     shape = still_shape(
         still.mean(0), float(trial.grip.angle_rad[0]), cable, gravity_m_per_s2, node_std_m
     )
-    space = ParameterSpace.of(
-        cable, gravity_m_per_s2=gravity_m_per_s2, prior=replace(prior, knots=n + 1)
-    )
+    space = ParameterSpace.of(cable, gravity_m_per_s2=gravity_m_per_s2, prior=Prior(knots=n + 1))
     whiteners = whiteners_of([trial], noise)
 
     def coordinates(swing: FloatArray) -> FloatArray:
@@ -165,9 +163,7 @@ def fit_as_paper(
         space.low[swing],
         space.high[swing],
     )
-    solution = gauss_newton.minimise(
-        problem, _best_start(residuals, space.mean[swing]), options.minimiser
-    )
+    solution = gauss_newton.minimise(problem, _best_start(residuals, space.mean[swing]), MINIMISER)
     inflation = variance_inflation(solution.residual, whiteners, len(space.mean))
     return Identified(
         space=space,

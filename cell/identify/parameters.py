@@ -135,38 +135,37 @@ class ParameterSpace:
             (k, k), (k * prior.rigidity_log_std) ** -2.0
         )
 
-        names = [f"rigidity_{i}" for i in range(k)] + ["exponent", "viscosity"]
-        units = ["N·m²"] * k + ["1", "N·m²·s"]
-        logarithmic = [True] * k + [False, True]
-        mean = [log_rigidity] * k + [1.0, log_rigidity + float(np.log(time_s))]
-        std = [prior.exponent_std, prior.viscosity_log_std]
-        low = [log_rigidity - 8.0] * k + [0.3, mean[-1] - 12.0]
-        high = [log_rigidity + 8.0] * k + [3.0, mean[-1] + 8.0]
-        step = [1e-4] * (k + 2)
+        log_viscosity = log_rigidity + float(np.log(time_s))
+        # name, unit, whether logarithmic, mean, std (that of EI comes as a matrix), low, high, step
+        span = log_rigidity - 8.0, log_rigidity + 8.0
+        rows: list[tuple[str, str, bool, float, float, float, float, float]] = [
+            *((f"rigidity_{i}", "N·m²", True, log_rigidity, 0.0, *span, 1e-4) for i in range(k)),
+            ("exponent", "1", False, 1.0, prior.exponent_std, 0.3, 3.0, 1e-4),
+        ]
+        span, std = (log_viscosity - 12.0, log_viscosity + 8.0), prior.viscosity_log_std
+        rows.append(("viscosity", "N·m²·s", True, log_viscosity, std, *span, 1e-4))
         for effect in effects:
             for p in effect.parameters:
                 name = f"{effect.name}.{p.name}"
                 if name in held:
                     continue
-                names.append(name)
-                units.append(p.unit)
-                in_logarithm = p.low > 0.0
+                if p.low > 0.0:
+                    middle, least, most = (float(np.log(v)) for v in (p.default, p.low, p.high))
+                    rows.append((name, p.unit, True, middle, 2.0, least, most, 1e-3))
+                    continue
                 size = max(abs(start - p.default) for start in p.starts) or abs(p.default) or 1.0
-                logarithmic.append(in_logarithm)
-                mean.append(float(np.log(p.default)) if in_logarithm else p.default)
-                std.append(2.0 if in_logarithm else prior.effect_std * size)
-                low.append(float(np.log(p.low)) if in_logarithm else p.low)
-                high.append(float(np.log(p.high)) if in_logarithm else p.high)
-                step.append(1e-3 if in_logarithm else 1e-3 * size)
-        precision = np.diag(np.concatenate([np.zeros(k), np.array(std) ** -2.0]))
+                std = prior.effect_std * size
+                rows.append((name, p.unit, False, p.default, std, p.low, p.high, 1e-3 * size))
+        names, units, logarithmic, mean, stds, low, high, step = zip(*rows, strict=True)
+        precision = np.diag(np.concatenate([np.zeros(k), np.array(stds[k:]) ** -2.0]))
         precision[:k, :k] = rigidity_precision
         return cls(
             cable,
             gravity_m_per_s2,
             k,
             tuple(effects),
-            tuple(names),
-            tuple(units),
+            names,
+            units,
             np.array(logarithmic),
             np.array(mean),
             precision,

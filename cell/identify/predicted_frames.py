@@ -9,7 +9,7 @@ from numba import njit
 
 from cell.cable.arrays import FloatArray
 from cell.cable.dynamics import simulate
-from cell.cable.geometry import STILL, Motion
+from cell.cable.geometry import STILL, Motion, away_from
 from cell.cable.solver import Solver
 from cell.identify.gripper_errors import GripperLogErrors, sampled_motions
 from cell.identify.parameters import ParameterSpace, difference_points
@@ -42,8 +42,10 @@ class PredictedFrames:
         To first order in the frames' delay.
         returns  None if the actual hold differs from the predicted one
         """
-        late_s = _late_s(trial.markers.t_s, self.t_s)
-        if late_s is None or not _same_motion(trial.grip, self.grip):
+        if trial.markers.t_s.shape != self.t_s.shape:
+            return None
+        late_s = trial.markers.t_s - self.t_s
+        if np.abs(late_s).max() > MOST_OFF_S or not _same_motion(trial.grip, self.grip):
             return None
         shift_m = [trial.grip.x_m[0] - self.grip.x_m[0], trial.grip.y_m[0] - self.grip.y_m[0]]
         markers_m, others_m = (
@@ -79,14 +81,8 @@ def _later(
     return out
 
 
-def _late_s(t_s: FloatArray, predicted_s: FloatArray) -> FloatArray | None:
-    if t_s.shape != predicted_s.shape or np.abs(t_s - predicted_s).max() > MOST_OFF_S:
-        return None
-    return t_s - predicted_s
-
-
 def _same_motion(motion: Motion, predicted: Motion) -> bool:
-    for name, limit in STILL.by_axis().items():
+    for name, limit in STILL.items():
         expected = np.interp(motion.t_s, predicted.t_s, getattr(predicted, name))
         if np.abs(getattr(motion, name) - expected).max() > limit:
             return False
@@ -102,10 +98,7 @@ def extended_at_rest(motion: Motion, until_s: float) -> Motion:
     more = int(np.ceil((until_s - float(motion.t_s[-1])) / interval_s))
     if more <= 0:
         return motion
-    moved = np.zeros(len(motion.t_s), dtype=bool)
-    for name, limit in STILL.by_axis().items():
-        value = getattr(motion, name)
-        moved |= np.abs(value - np.median(value[-10:])) > limit
+    moved = away_from(motion, slice(-10, None))
     count = int(np.argmax(moved[::-1])) if moved.any() else len(moved)
     back = len(moved) - 1 - np.arange(max(1, count // 2))
     again = np.resize(np.concatenate([back, back[::-1]]), more)

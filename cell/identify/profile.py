@@ -93,7 +93,8 @@ def _side(
         if there is None:
             return np.inf
         rise = there.objective - solution.objective
-        points.append(ProfilePoint(held, rise, _bounds_met(solution, there, index)))
+        met = np.flatnonzero(solution.free & ~there.free).tolist()
+        points.append(ProfilePoint(held, rise, tuple(i for i in met if i != index)))
         start = there.q
         return float(np.sqrt(max(rise, 0.0)))
 
@@ -148,9 +149,3 @@ def _held(
         return minimise(replace(problem, low=low, high=high), q, options)
     except UNSIMULATED:
         return None
-
-
-def _bounds_met(solution: Solution, there: Solution, index: int) -> tuple[int, ...]:
-    """Parameters at a bound there that were inside at the minimum."""
-    met = solution.free & ~there.free
-    return tuple(int(i) for i in np.flatnonzero(met) if i != index)

@@ -255,7 +255,9 @@ def _smooth_modes(valid: NDArray[np.bool_], first: int) -> FloatArray:
     """
     parts = [valid[:, :first], *(valid[:, i : i + 1] for i in range(first, valid.shape[1]))]
     if len(parts) > 1:
-        return _block_diagonal([_smooth_modes(part, part.shape[1]) for part in parts])
+        from scipy.linalg import block_diag  # only studies with a sensor need it
+
+        return np.asarray(block_diag(*(_smooth_modes(part, part.shape[1]) for part in parts)))
     frames, markers = valid.shape
     slow = max(2, frames // SLOW_FRAMES)
     in_time = np.cos(np.pi * np.outer(np.arange(frames) + 0.5, np.arange(slow)) / frames)
@@ -273,12 +275,3 @@ def _moving_mean(values: FloatArray) -> FloatArray:
     rows, half = np.arange(len(values)), SHOWN_ROWS // 2
     first, last = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(values))
     return np.asarray((total[last] - total[first]) / (last - first))
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    """The block-diagonal matrix of blocks."""
-    rows, columns = np.cumsum([b.shape for b in blocks], axis=0).T
-    matrix = np.zeros((rows[-1], columns[-1]))
-    for block, row, column in zip(blocks, rows, columns, strict=True):
-        matrix[row - block.shape[0] : row, column - block.shape[1] : column] = block
-    return matrix

@@ -22,6 +22,11 @@ from cell.settings.model import REPEATABILITY_M
 #: Factors on the step and on the number of segments for the sensitivities of a tip, whose error is
 #: then 1 %.
 SLOPES_COARSER, SLOPES_SEGMENTS = 4.0, 0.7
+#: Sampling interval of simulated tips and nodes, s.
+INTERVAL_S = 0.005
+#: Standard deviation of the tip's height due to the model's error, per `Identified.model_error_m`:
+#: the error is larger in a new motion than in the fitted one.
+MODEL_ERROR_GROWTH = 2.0
 
 
 @dataclass(frozen=True)
@@ -45,19 +50,17 @@ class ChoiceOptions:
     samples           of the uncertain parameters; at least twice their number
     repeatability_m   standard deviation of the tip's height for reasons that are not the cable's:
                       arm, camera, draught
-    model_error_growth   standard deviation of the tip's height due to the model's error, per
-                      `Identified.model_error_m`: the error is larger in a new motion than in the
-                      fitted one
+
     least_probability below which no offset is chosen
-    interval_s        sampling interval of the tip's comparison with the destination
+
     freely            degrees of freedom in addition to the offsets
     """
 
     samples: int = 64
     repeatability_m: float = REPEATABILITY_M
-    model_error_growth: float = 2.0
+
     least_probability: float = 0.9
-    interval_s: float = 0.005
+
     freely: Freedom = Freedom()
 
 
@@ -147,7 +150,6 @@ def forecast(
     begin_s: float = 0.0,
     end_s: float | None = None,
     solver: Solver = Solver(),  # noqa: B008
-    options: ChoiceOptions = ChoiceOptions(),
 ) -> Forecast:
     """Simulate every offset, without delay at the usual pace, and the tip's sensitivities.
 
@@ -161,7 +163,7 @@ def forecast(
     if len(motions) != len(offsets_m):
         raise ValueError(f"{len(offsets_m)} offsets but {len(motions)} motions")
     end_s = max(float(m.t_s[-1]) for m in motions) if end_s is None else end_s
-    t_s = np.arange(0.0, end_s - begin_s + options.interval_s, options.interval_s)
+    t_s = np.arange(0.0, end_s - begin_s + INTERVAL_S, INTERVAL_S)
     at_s = begin_s + t_s
     space, mean = identified.space, identified.mean
     tip_at_m = np.array([space.cable.length_m])
@@ -234,7 +236,7 @@ def choose(
             f"{best.offset_m * 1e3:.0f} mm, with {best.probability:.2f} "
             f"(margin {best.margin_m * 1e3:+z.2f} mm)"
         )
-        missed_m = options.model_error_growth * identified.model_error_m
+        missed_m = MODEL_ERROR_GROWTH * identified.model_error_m
         model_misses = missed_m > options.repeatability_m
         if model_misses:
             missed_mm = identified.model_error_m * 1e3
@@ -244,7 +246,7 @@ def choose(
 
 def missed_height_m(identified: Identified, options: ChoiceOptions) -> float:
     """Standard deviation of the tip's height from causes other than the cable's parameters, m."""
-    missed_m = options.model_error_growth * identified.model_error_m
+    missed_m = MODEL_ERROR_GROWTH * identified.model_error_m
     return float(np.hypot(missed_m, options.repeatability_m))
 
 

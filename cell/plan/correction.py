@@ -9,8 +9,9 @@ from scipy.special import ndtr
 
 from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
+from cell.plan.choose import INTERVAL_S
 from cell.plan.destination import Destination
-from cell.plan.response import INTERVAL_S, Deviation, Response, deviation
+from cell.plan.response import Deviation, Response, deviation
 from drivers.interfaces import Trajectory
 from drivers.servo import servo_response
 

@@ -13,7 +13,7 @@ from cell.cable.branches import simulate_branches
 from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
-from cell.plan.choose import ChoiceOptions, Forecast, coarsened
+from cell.plan.choose import INTERVAL_S, ChoiceOptions, Forecast, coarsened
 from cell.plan.destination import Destination
 
 #: Fewest delays at which insertions are simulated, and their largest spacing, s.
@@ -56,7 +56,7 @@ def refined_candidates(
     """
 
     def tips(motions: Sequence[Motion]) -> FloatArray:
-        return _tips(identified, motions, begin_s, solver, options)
+        return _tips(identified, motions, begin_s, solver)
 
     freely, offsets_m = options.freely, at_once.offsets_m
     best_m = offsets_m[destination.margin_m(at_once.tip_m).argmax()]
@@ -65,16 +65,16 @@ def refined_candidates(
     fine_s = np.arange(0.0, freely.window_s + 1e-3 * FINE_S, FINE_S)
     count = max(MOMENTS, 1 + int(np.ceil(freely.window_s / MOMENTS_S)))
     # multiples of the interval at which the tip is simulated
-    moments = np.unique(np.rint(np.linspace(0.0, freely.window_s, count) / options.interval_s))
-    moments_s, paces = options.interval_s * moments, (1.0, *freely.paces)
+    moments = np.unique(np.rint(np.linspace(0.0, freely.window_s, count) / INTERVAL_S))
+    moments_s, paces = INTERVAL_S * moments, (1.0, *freely.paces)
     near = [[motion(float(o), pace) for o in near_m] for pace in paces]
     later = [_delayed(m, begin_s, float(d)) for of_pace in near for d in moments_s for m in of_pace]
     longest_s = max(float(m.t_s[-1]) for of_pace in near for m in of_pace) - begin_s
     *tips_m, swing = tips([*later, _delayed(near[0][0], begin_s, longest_s + freely.window_s)])
-    steps = int(longest_s / options.interval_s)
+    steps = int(longest_s / INTERVAL_S)
 
     def from_moment(path: FloatArray, moment_s: float) -> FloatArray:
-        first = round(moment_s / options.interval_s)
+        first = round(moment_s / INTERVAL_S)
         return path[first : first + steps]
 
     every_s = np.tile(np.repeat(moments_s, len(near_m)), len(paces))
@@ -177,11 +177,10 @@ def _tips(
     motions: Sequence[Motion],
     begin_s: float,
     solver: Solver,
-    options: ChoiceOptions,
 ) -> FloatArray:
     """(motions, times, 2) of the most probable cable, m."""
     end_s = max(float(m.t_s[-1]) for m in motions)
-    at_s = np.arange(begin_s, end_s + options.interval_s, options.interval_s)
+    at_s = np.arange(begin_s, end_s + INTERVAL_S, INTERVAL_S)
     space = identified.space
     tip_at_m = np.array([space.cable.length_m])
     models = [space.model(identified.mean)]

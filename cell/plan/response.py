@@ -15,10 +15,8 @@ from cell.cable.geometry import Motion
 from cell.cable.solver import Solver
 from cell.identify.identified import Identified
 from cell.identify.parameters import difference_points
-from cell.plan.choose import coarsened
+from cell.plan.choose import INTERVAL_S, coarsened
 
-#: Sampling interval of simulated nodes, s.
-INTERVAL_S = 0.005
 #: Modes of the swing that a force from outside excites.
 MODES = 2
 #: Interval at which unknown forces and gripper displacements change, s.

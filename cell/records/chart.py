@@ -71,31 +71,37 @@ class ChartSignal:
 
 def signals(results: Sequence[Result]) -> list[ChartSignal]:
     """Control-chart signals in the cycles of one model, oldest first; none if they are few."""
-    return [*_of_forecasts(results), *_of_swings(results), *_of_cables(results)]
-
-
-def _of_forecasts(results: Sequence[Result]) -> list[ChartSignal]:
     executed = [
         (r.folder, error_m, r.predicted_std_m)
         for r in results
         if (error_m := r.miss_error_m) is not None and r.predicted_std_m
     ]
-    errors = np.array([e for _, e, _ in executed])
-    change = _change(standard_normal(np.array([e / s for _, e, s in executed]), LEAST_FORECAST))
-    if change is None:
-        return []
-    return [_signal("forecasts err by more", [c for c, _, _ in executed], np.abs(errors), change)]
-
-
-def _of_swings(results: Sequence[Result]) -> list[ChartSignal]:
     swung = [
         (r.folder, r.residual_rms_m, r.noise_m) for r in results if r.residual_rms_m and r.noise_m
     ]
-    misses = np.array([m for _, m, _ in swung])
+    errors = standard_normal(np.array([e / s for _, e, s in executed]), LEAST_FORECAST)
     ratio = np.log([m / n for _, m, n in swung]) if swung else np.zeros(0)
-    if (change := _change(standard_normal(ratio, LEAST_MISSED))) is None:
+    missed = standard_normal(ratio, LEAST_MISSED)
+    return [
+        *_of_errors("forecasts err by more", executed, errors),
+        *_of_errors("the model misses the swing by more", swung, missed),
+        *_of_cables(results),
+    ]
+
+
+def _of_errors(
+    name: str, charted: Sequence[tuple[str, float, float]], q: FloatArray
+) -> list[ChartSignal]:
+    """Signals of errors, m: folder, error and what it is compared with; q  standard normal."""
+    if (change := _change(q)) is None:
         return []
-    return [_signal("the model misses the swing by more", [c for c, _, _ in swung], misses, change)]
+    since, at = change
+    folders, sizes_m = [folder for folder, _, _ in charted], np.array([e for _, e, _ in charted])
+    before = float(np.sqrt(np.mean(sizes_m[:since] ** 2)))
+    after = float(np.sqrt(np.mean(sizes_m[since:] ** 2)))
+    if after < before:
+        name = name.replace("more", "less")
+    return [ChartSignal(name, folders[since], folders[at], len(folders) - since, before, after)]
 
 
 def _of_cables(results: Sequence[Result]) -> list[ChartSignal]:
@@ -132,17 +138,6 @@ def _rigidity_and_viscosity(parameters: Mapping[str, float]) -> tuple[float, flo
     if not rigidity or min(*rigidity, viscosity) <= 0.0:
         return None
     return float(np.mean(np.log(rigidity))), float(np.log(viscosity))
-
-
-def _signal(
-    name: str, folders: Sequence[str], sizes_m: FloatArray, change: tuple[int, int]
-) -> ChartSignal:
-    since, at = change
-    before = float(np.sqrt(np.mean(sizes_m[:since] ** 2)))
-    after = float(np.sqrt(np.mean(sizes_m[since:] ** 2)))
-    if after < before:
-        name = name.replace("more", "less")
-    return ChartSignal(name, folders[since], folders[at], len(folders) - since, before, after)
 
 
 def _change(q: FloatArray, slow: bool = True) -> tuple[int, int] | None:

@@ -79,7 +79,9 @@ def cycle_page(record: Recorded, recording: Recording | None) -> str:
         seen=_overlay_pictures(record),
         tip=None if tip is None else Plot.of(tip),
         decision=None if decision is None else _decision(decision, result),
-        decision_says="" if decision is None else _rejection_text(decision),
+        decision_says=""
+        if decision is None or decision["offset_m"] is not None
+        else f"No offset was taken: {decision['reason']}.",
         stops=() if result is None else result.stops,
         corrections=None if result is None else _corrections(result.corrections),
         parameters=None if record.model is None else parameters_table(record.model),
@@ -188,12 +190,6 @@ def _draw(figure: go.Figure, xy_m: NDArray[np.float64], name: str, colour: str) 
     figure.add_scatter(x=x, y=y, name=name, mode=mode, marker=marker, line=line)
 
 
-def _rejection_text(decision: Mapping[str, Any]) -> str:
-    """Why no offset was chosen; "" if one was."""
-    none = decision["offset_m"] is None
-    return f"No offset was taken: {decision['reason']}." if none else ""
-
-
 def _decision(decision: Mapping[str, Any], result: Result | None) -> TableData:
     chosen = chosen_row(decision, result)
     rows = [
@@ -281,6 +277,7 @@ def flight_of(record: Recorded, recording: Recording | None) -> TipFlight:
         np.array((passage or {}).get(key, ()), float) for key in ("t_s", "tip_m", "predicted_m")
     )
     tip_m = tip_m.reshape(-1, 2)
+    std_m = (chosen_row(decision, record.result) or {}).get("margin_std_m")
     return TipFlight(
         seen_m=seen_m,
         planned_m=np.array((decision or {}).get("tip_m") or (), float).reshape(-1, 2),
@@ -288,7 +285,7 @@ def flight_of(record: Recorded, recording: Recording | None) -> TipFlight:
         t_s=t_s,
         error_m=tip_m - predicted_m.reshape(-1, 2),
         inside_s=_times_inside(t_s, tip_m, outline_m),
-        limit_m=_limit_m(chosen_row(decision, record.result)),
+        limit_m=None if std_m is None else LIMIT_STDS * std_m,
     )
 
 
@@ -313,11 +310,6 @@ def chosen_row(
             chosen[key] = value
     rows = (r for r in decision["table"] if all(r.get(k, v) == v for k, v in chosen.items()))
     return next(rows, None)
-
-
-def _limit_m(row: Mapping[str, Any] | None) -> float | None:
-    std_m: float | None = None if row is None else row.get("margin_std_m")
-    return None if std_m is None else LIMIT_STDS * std_m
 
 
 def rounded_mm(values_m: NDArray[np.float64]) -> Any:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from cell.files.atomic import free_bytes, write_atomic
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.text_file import MAX_JSON_BYTES, read_json_object, read_text
 from cell.files.yaml_document import MAX_PROBLEMS, Document, document_of, yaml_text
 from cell.records.result import Result, result_adapter
@@ -401,7 +401,7 @@ def history(runs: Path) -> tuple[PastCycle, ...]:
     """
     if not runs.is_dir():
         message = "is no folder of cycles; give the one that `cell run --runs` wrote to"
-        raise InputError([Problem(runs, 1, None, "", message)])
+        raise InputError.at(runs, message)
     past = [_past(f, number) for f in runs.iterdir() if (number := cycle_of(f)) is not None]
     return tuple(sorted(past, key=lambda p: (p.started, p.cycle)))
 
@@ -410,7 +410,7 @@ def newest(runs: Path) -> Path:
     """Folder of the newest cycle.  Raises InputError: there is none."""
     past = history(runs)
     if not past:
-        raise InputError([Problem(runs, 1, None, "", "holds no cycle; run one with `cell run`")])
+        raise InputError.at(runs, "holds no cycle; run one with `cell run`")
     return past[-1].folder
 
 

@@ -4,97 +4,47 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.identify.identified import Identified
 from cell.plan.passage import path_at
 from cell.records.ledger.entry import Acknowledgement, LedgerEntry, entry_of_folder, estimates_of
 from cell.records.ledger.outbox import LedgerWriter
 from cell.records.recording import form
 from cell.records.recording.band import VisionSetup
+from cell.records.recording.recorder import Recorder
 from cell.records.recording.retention import Retention
 from cell.records.recording.unpack import study_to_plain
 from cell.records.recording.uploads import Uploads
 from cell.records.result import Fault, Outcome, Result
 from cell.run.findings import FilmedMotion, Findings, required
-from cell.run.station import ProductTask, Station, Task
+from cell.run.station import ProductTask, Station
+from cell.settings.records import RecordingSettings
 from cell.study.data import Study
 
 #: Packages on whose versions the last digit of a result may depend.
 _COMPUTING = ("cable-cell", "numpy", "scipy", "numba", "opencv-python-headless")
 
 
-class EventSink(Protocol):
-    """Interface of a receiver of a cycle's messages, such as a `Recorder`.
-
-    notes  messages for a person
-    """
-
-    notes: list[str]
-
-    def begin(
-        self, path: Path, begun: Mapping[str, str], vision: VisionSetup | None = None
-    ) -> None:
-        """A recording begins; with `vision` only a band of each frame is stored."""
-
-    def event(self, topic: str, data: Mapping[str, Any]) -> None:
-        """A message of a JSON topic."""
-
-    def add_detections(self, t_s: Sequence[float], points_px: FloatArray) -> None:
-        """The cable as detected in frames."""
-
-    def end(self, keep: bool = True, whole: bool = False) -> None:
-        """The recording ends; with `whole` its full frames are stored, too."""
-
-    def note(self, text: str) -> None:
-        """A message for a person."""
-
-    def close(self) -> None:
-        """End recording."""
-
-
-@dataclass(frozen=True)
-class Keeping:
-    """Rule for the selection of the recordings that are stored.
-
-    outcomes  cycles with these outcomes are stored
-    every     also each cycle whose number is a multiple of it; 0 = no others
-    """
-
-    outcomes: frozenset[Outcome] = frozenset(Outcome)
-    every: int = 1
-
-    def keeps(self, result: Result) -> bool:
-        """Whether the recording of a cycle is stored."""
-        counted = self.every > 0 and result.cycle % self.every == 0
-        return counted or result.outcome in self.outcomes
-
-
 @dataclass(frozen=True)
 class RecordingSetup:
     """How cycles are recorded.
 
-    settings     as resolved for the product of a cycle
-    files        texts that they refer to, by path: the calibration, the user's effects
-    full_frames  whether full frames are stored, or only the band that vision reads
+    wanted       which recordings are stored, and whether with full frames
     retention    deletes old recordings to make room; None = nothing is deleted
     uploads      sends recordings to a store; None = they stay
     """
 
-    recorder: EventSink
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
-    keeping: Keeping = Keeping()
-    full_frames: bool = False
+    recorder: Recorder
+    wanted: RecordingSettings = field(default_factory=RecordingSettings)
     retention: Retention | None = None
     uploads: Uploads | None = None
 
@@ -137,7 +87,7 @@ class CycleRecording:
         cycle: int,
         started: datetime,
         plan: Mapping[str, Any],
-        task: Task,
+        made: ProductTask,
     ) -> None:
         """The cycle begins; `plan` describes its steps."""
         if self._recording is None:
@@ -148,14 +98,14 @@ class CycleRecording:
             self._recording = None
             return
         self._path = folder / form.FILE
-        recorder = self._recording.recorder
-        vision = None if self._recording.full_frames else VisionSetup(task.view, task.vision)
+        recorder, task = self._recording.recorder, made.task
+        whole = self._recording.wanted.whole_frames
+        vision = None if whole else VisionSetup(task.view, task.vision)
         recorder.begin(self._path, recording_metadata(cycle, started), vision)
         identity = {"cycle": cycle, "started": started.isoformat(), "folder": str(folder)}
         corners_px = task.view.to_pixels(task.destination.corners_m)
         recorder.event(form.CYCLE, {**identity, **plan, "destination_px": corners_px.tolist()})
-        settings, files = dict(self._recording.settings), dict(self._recording.files)
-        recorder.event(form.SETTINGS, {"settings": settings, "files": files})
+        recorder.event(form.SETTINGS, {"settings": made.settings, "files": made.files})
 
     def state(self, state: str, step: str | None) -> None:
         """A step begins, or the cell's state changes."""
@@ -194,7 +144,9 @@ class CycleRecording:
         if self._recording is None:
             return
         self._event(form.RESULT, result.to_json())
-        keep = self._recording.keeping.keeps(result)
+        wanted = self._recording.wanted
+        counted = wanted.keep_every > 0 and result.cycle % wanted.keep_every == 0
+        keep = counted or result.outcome.value in wanted.keep
         self._recording.recorder.end(keep, result.outcome is not Outcome.INSERTED)
         if self._recording.retention is not None:
             self._recording.retention.add(self._path)
@@ -260,13 +212,11 @@ class LedgerSetup:
     """The ledger of a cell's cycles, and the columns that are the same for all of them.
 
     line         that the cell belongs to
-    calibration  hash of its files; None = as typed
     software     version of this program
     """
 
     ledger: LedgerWriter
     line: str
-    calibration: str | None = None
     software: str | None = None
 
 
@@ -284,7 +234,7 @@ class CycleListing:
         started: datetime,
         aim: str,
         part: str | None,
-        product: str | None = None,
+        made: ProductTask,
     ) -> None:
         """The cycle begins."""
         if self._setup is None:
@@ -296,8 +246,8 @@ class CycleListing:
             started=started.astimezone(UTC),
             aim=aim,
             part=part,
-            product=product,
-            calibration=self._setup.calibration,
+            product=made.name,
+            calibration=made.calibration,
             software=self._setup.software,
         )
         self._setup.ledger.put(self._entry)
@@ -352,16 +302,6 @@ class Archive:
 
     recording: RecordingSetup | None = None
     ledger: LedgerSetup | None = None
-
-    def recording_of(self, task: ProductTask) -> RecordingSetup | None:
-        """How cycles of a product are recorded: with its settings and files."""
-        if self.recording is None:
-            return None
-        return replace(self.recording, settings=task.settings, files=task.files)
-
-    def ledger_of(self, task: ProductTask) -> LedgerSetup | None:
-        """The ledger for cycles of a product, with its calibration."""
-        return None if self.ledger is None else replace(self.ledger, calibration=task.calibration)
 
     def notes(self) -> tuple[str, ...]:
         """Messages for a person."""

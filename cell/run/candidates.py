@@ -95,14 +95,7 @@ def simulate_offsets(
         slowest = max((1.0, *freely.paces))
         latest = path(task.offsets_m[-1], freely.window_s, slowest, freely.further_m)
         end_s = float(motion(latest).t_s[-1])
-    simulate = partial(
-        forecast,
-        identified,
-        begin_s=executing.begin_s,
-        end_s=end_s,
-        solver=solver,
-        options=choice,
-    )
+    simulate = partial(forecast, identified, begin_s=executing.begin_s, end_s=end_s, solver=solver)
     paths = [path(o) for o in task.offsets_m]
     expected = simulate(np.array(task.offsets_m), [motion(p) for p in paths])
     if freely.window_s == 0.0:

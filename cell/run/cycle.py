@@ -286,18 +286,17 @@ class Cell:
         progress, plan, started = cycle.progress, cycle.plan, datetime.now().astimezone()
         assert isinstance(progress.record, LaterRecord)
         progress.record = record = progress.record.opened(started)
+        begun = record.folder, progress.number, started
         if filmed:
-            progress.recording = CycleRecording(self._archive.recording_of(cycle.made))
+            progress.recording = CycleRecording(self._archive.recording)
             goal = {"aim": plan.aim.value, "product": cycle.made.name}
             planned = {**goal, "steps": plan.names, "speed": plan.speed}
-            task = progress.station.task
-            progress.recording.begin(record.folder, progress.number, started, planned, task)
+            progress.recording.begin(*begun, planned, cycle.made)
         cycle.part = part
         if cycle.made.name is not None:
             record.state(product=cycle.made.name)
-        cycle.listing = CycleListing(self._archive.ledger_of(cycle.made))
-        identity = record.folder, progress.number, started, plan.aim.value
-        cycle.listing.begin(*identity, part, cycle.made.name)
+        cycle.listing = CycleListing(self._archive.ledger)
+        cycle.listing.begin(*begun, plan.aim.value, part, cycle.made)
 
     def _reset(self, cycle: OneCycle) -> None:
         """Resetting, into Idle."""

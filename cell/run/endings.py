@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 
 from cell.files.words import error_text
@@ -29,13 +30,9 @@ EXPECTED = (DeviceError, InterruptedByCommandError, KeyboardInterrupt, RecordErr
 
 def close(devices: Devices) -> None:
     """Disconnect all devices, even if one of them fails."""
-    try:
-        devices.arm.close()
-    finally:
-        try:
-            devices.camera.close()
-        finally:
-            devices.gripper.close()
+    with ExitStack() as last_first:
+        for device in (devices.gripper, devices.camera, devices.arm):
+            last_first.callback(device.close)
 
 
 def stop(devices: Devices, reason: str) -> None:

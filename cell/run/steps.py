@@ -332,14 +332,12 @@ def review_choice(station: Station, findings: Findings, paused: bool) -> Finding
     raises  DeviceTimeoutError: the computer is too slow for any choice
     """
     if paused:
-        findings = replace(findings, waiting_since_s=time.perf_counter())
+        return replace(findings, waiting_since_s=time.perf_counter())
     if findings.rejected:
         return findings
-    if not paused and not is_past(station, required(findings.candidates).start_s):
+    if not is_past(station, required(findings.candidates).start_s):
         return replace(findings, offset_m=required(findings.choice).best.offset_m)
     lead_s = required(findings.lead_s)
-    if paused:
-        return findings
     if lead_s > LONGEST_LEAD_S:
         raise DeviceTimeoutError(
             "computer",

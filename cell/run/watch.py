@@ -36,7 +36,7 @@ class SafetyWatch:
         devices = station.devices
         arm, camera, gripper = devices.arm, devices.camera, devices.gripper
         checks = (
-            (arm.name, self._check_arm, ARM_EVERY_S),
+            (arm.name, partial(check_arm, station), ARM_EVERY_S),
             (camera.name, camera.check, CAMERA_EVERY_S),
             (gripper.name, self._check_gripper, GRIPPER_EVERY_S),
         )
@@ -88,9 +88,6 @@ class SafetyWatch:
         if not self._over.is_set():
             self._station.commands.fail(error)
             self._station.devices.arm.stop(error.cause)
-
-    def _check_arm(self) -> None:
-        check_arm(self._station)
 
     def _check_gripper(self) -> None:
         if self.holding:

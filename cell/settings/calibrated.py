@@ -103,7 +103,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
         raise InputError.at(config, message, key="calibration.folder") from NotADirectoryError()
     if not any((folder / f"{kind}.yaml").exists() for kind in _NEEDED):
         message = f"this cell is not calibrated yet: {folder} has nothing; run `cell calibrate "
-        raise InputError([Problem(config, 1, None, "calibration", f"{message}--config {config}`")])
+        raise InputError.at(config, f"{message}--config {config}`", key="calibration")
     besides = (k for k in _BESIDES if calibration_file(settings, k).exists())
     for kind in (*_NEEDED, *besides):
         path = calibration_file(settings, kind)
@@ -139,7 +139,7 @@ def calibrated(settings: Settings, config: Path, now: datetime | None = None) ->
             f"run `cell calibrate time --config {config}`",
         )
     except (CalibrationFileError, KeyError) as error:
-        raise InputError([Problem(folder / "cell.yaml", 1, None, "", str(error))]) from error
+        raise InputError.at(folder / "cell.yaml", str(error)) from error
 
 
 def not_yet_calibrated(settings: Settings, config: Path) -> tuple[str, ...]:

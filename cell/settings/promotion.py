@@ -167,7 +167,7 @@ def promote(candidate: CandidateModel, config: Path, *, from_another_line: bool 
     before = load_settings(config)
     if product is None and before.products:
         message = "is missing, but the settings have products; learn it with --product"
-        raise InputError([Problem(candidate.path, 1, None, "product", message)])
+        raise InputError.at(candidate.path, message, key="product")
     settings = before if product is None else load_product(config, product)
     problems = [
         Problem(candidate.path, 1, None, f"gate {name!r}", f"not passed ({value}); learn from more")
@@ -230,9 +230,7 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
         if former != present:
             return entry
-    raise InputError(
-        [Problem(config, 1, None, _KEY, "nothing to undo: no model was promoted here")]
-    )
+    raise InputError.at(config, "nothing to undo: no model was promoted here", key=_KEY)
 
 
 def _hash(config: Path, text: str, product: str | None) -> str:
@@ -250,7 +248,7 @@ def _check_expected(config: Path, meant: tuple[str, str], present: str, restored
         mismatch = f"undoing the last promotion would restore the model {restored}, not {meant[1]}"
     if mismatch:
         remedy = f"choose one of those in {history_of(config)}"
-        raise InputError([Problem(config, 1, None, _KEY, f"{mismatch}; {remedy}")])
+        raise InputError.at(config, f"{mismatch}; {remedy}", key=_KEY)
 
 
 def history_of(config: Path) -> Path:
@@ -311,7 +309,7 @@ def _place(path: Path, text: str, product: str | None) -> _Place:
         of = None if products is None else _entry(products, product)
         if of is None:
             message = f"{product!r} is no product of these settings"
-            raise InputError([Problem(path, 1, None, _PRODUCTS, message)])
+            raise InputError.at(path, message, key=_PRODUCTS)
         key, value = of
         if isinstance(value, ScalarNode):  # empty: all is as in the rest of the file
             line = key.start_mark.line + 1
@@ -330,7 +328,7 @@ def _one_key_a_line(path: Path, node: Node, name: str) -> MappingNode:
         return node
     where = "at its outermost level" if not name else "in this section"
     message = f"is not one key a line {where}; write it so to have it changed"
-    raise InputError([Problem(path, node.start_mark.line + 1 if node else 1, None, name, message)])
+    raise InputError.at(path, message, line=node.start_mark.line + 1 if node else 1, key=name)
 
 
 def _entry(node: MappingNode, name: str) -> tuple[Node, Node] | None:

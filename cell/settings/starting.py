@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -82,33 +81,26 @@ STARTING: Mapping[CellKind, Mapping[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class Question:
-    """A question to a person about an entry; `key` is its path in the settings."""
-
-    key: tuple[str, ...]
-    words: str
-
-
-#: Questions for every cell; the rest of the file has defaults and comments.
-QUESTIONS = (
-    Question(("cable", "free_length_m"), "Length of the cable from the jaw to the tip, m"),
-    Question(("cable", "line_density_kg_per_m"), "Its mass per metre, kg/m"),
-    Question(("cable", "width_m"), "Its width, m"),
-    Question(("cable", "thickness_m"), "Its thickness, m"),
-    Question(("destination", "x_m"), "Opening, far and near edge: x, x, m"),
-    Question(("destination", "y_m"), "Opening, lower and upper edge: y, y, m"),
-    Question(("limits", "x_m"), "Where the gripper may be: least and greatest x, m"),
-    Question(("limits", "y_m"), "Where the gripper may be: least and greatest y, m"),
-)
+#: Questions for every cell, by the path of the entry; the rest of the file has defaults and
+#: comments.
+QUESTIONS: Mapping[tuple[str, ...], str] = {
+    ("cable", "free_length_m"): "Length of the cable from the jaw to the tip, m",
+    ("cable", "line_density_kg_per_m"): "Its mass per metre, kg/m",
+    ("cable", "width_m"): "Its width, m",
+    ("cable", "thickness_m"): "Its thickness, m",
+    ("destination", "x_m"): "Opening, far and near edge: x, x, m",
+    ("destination", "y_m"): "Opening, lower and upper edge: y, y, m",
+    ("limits", "x_m"): "Where the gripper may be: least and greatest x, m",
+    ("limits", "y_m"): "Where the gripper may be: least and greatest y, m",
+}
 
 #: Questions for a real cell only.
-DEVICE_QUESTIONS = (
-    Question(("arm", "host"), "Address of the arm's controller"),
-    Question(("arm", "model"), "Model of the arm: UR3e, UR5e or UR10e"),
-    Question(("camera", "producer"), "GenTL producer of the camera, a .cti file"),
-    Question(("gripper", "port"), "Serial port of the gripper"),
-)
+DEVICE_QUESTIONS: Mapping[tuple[str, ...], str] = {
+    ("arm", "host"): "Address of the arm's controller",
+    ("arm", "model"): "Model of the arm: UR3e, UR5e or UR10e",
+    ("camera", "producer"): "GenTL producer of the camera, a .cti file",
+    ("gripper", "port"): "Serial port of the gripper",
+}
 
 #: Entries that differ between any two real cells.
 MEASURED: tuple[Key, ...] = (
@@ -140,9 +132,9 @@ def _entry(settings: Settings, key: Key) -> Any:
     return value
 
 
-def questions(kind: CellKind) -> tuple[Question, ...]:
-    """Questions for a cell of this kind."""
-    return QUESTIONS + (DEVICE_QUESTIONS if kind == "real" else ())
+def questions(kind: CellKind) -> dict[tuple[str, ...], str]:
+    """Questions for a cell of this kind, by the path of the entry."""
+    return {**QUESTIONS, **(DEVICE_QUESTIONS if kind == "real" else {})}
 
 
 def default(kind: CellKind, key: tuple[str, ...]) -> Any:

@@ -131,7 +131,7 @@ def gap(poses: FloatArray) -> Gap | None:
     usual_s = float(np.median(step_s))
     change = np.abs(np.diff(poses[:, 1:], axis=0))
     moved_m = np.hypot(change[:, 0], change[:, 1])
-    moves = (moved_m > ROUGHLY_STILL.position_m) | (change[:, 2] > ROUGHLY_STILL.angle_rad)
+    moves = (moved_m > ROUGHLY_STILL["x_m"]) | (change[:, 2] > ROUGHLY_STILL["angle_rad"])
     harmful_s = np.where(moves & (step_s > max(GAP_S, GAP_STEPS * usual_s)), step_s, 0.0)
     i = int(np.argmax(harmful_s))
     if harmful_s[i] == 0.0:
@@ -156,8 +156,8 @@ def cut_off(poses: FloatArray, from_s: float, to_s: float) -> CutOff | None:
         if missing_s <= limit_s:
             continue
         for series, still, turns in (
-            (log[:, 1:3], ROUGHLY_STILL.position_m, False),
-            (log[:, 3:], ROUGHLY_STILL.angle_rad, True),
+            (log[:, 1:3], ROUGHLY_STILL["x_m"], False),
+            (log[:, 3:], ROUGHLY_STILL["angle_rad"], True),
         ):
             speed = _unfinished(log[:, 0], series, still, (limit_s, missing_s))
             if speed is not None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.cable.geometry import ROUGHLY_STILL, moves_from_s
+from cell.cable.geometry import ROUGHLY_STILL, away_from, moves_from_s
 from cell.files.plain import plain
 from cell.files.words import counted
 from cell.study.data import Trial
@@ -220,11 +220,7 @@ def _moves_s(trial: Trial) -> tuple[float, float] | None:
     begins = moves_from_s(grip, ROUGHLY_STILL)
     if not np.isfinite(begins):
         return None
-    away = np.zeros(len(grip.t_s), dtype=bool)
-    for name, limit in ROUGHLY_STILL.by_axis().items():
-        value = getattr(grip, name)
-        away |= np.abs(value - np.median(value[-10:])) > limit
-    last = int(np.flatnonzero(away)[-1])
+    last = int(np.flatnonzero(away_from(grip, slice(-10, None), ROUGHLY_STILL))[-1])
     return begins, float(grip.t_s[min(last + 1, len(grip.t_s) - 1)])
 
 

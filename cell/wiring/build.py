@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import time as time_of_day
 from functools import partial
 from importlib.metadata import version
@@ -20,11 +20,10 @@ from cell.plan.paths import MotionLimits
 from cell.records.ledger.outbox import LaterLedger, LedgerWriter, outbox_of
 from cell.records.recording.devices import recorded_devices
 from cell.records.recording.recorder import Recorder
-from cell.records.recording.retention import DiskRoom, LastRemoved, Retention
+from cell.records.recording.retention import Retention
 from cell.records.recording.store import Store
 from cell.records.recording.uploads import Uploads
-from cell.records.result import Outcome
-from cell.run.archive import Archive, Keeping, LedgerSetup, RecordingSetup
+from cell.run.archive import Archive, LedgerSetup, RecordingSetup
 from cell.run.clocks import CalibratedDelays
 from cell.run.cycle import Cell
 from cell.run.station import ProductTask, Task
@@ -95,23 +94,14 @@ def with_recorder(
         return devices, None
     patience_s = 0.0 if in_real_time(settings) else PATIENCE_S
     recorder = Recorder(devices.arm, devices.clock, section.memory_mb * 10**6, patience_s)
-    room = DiskRoom.of(section)
     shifts = (settings.ledger or LedgerSettings()).shifts
-    last = LastRemoved(section.last_removed_every, tuple(map(time_of_day.fromisoformat, shifts)))
-    recording = RecordingSetup(
-        recorder,
-        keeping=Keeping(frozenset(map(Outcome, section.keep)), section.keep_every),
-        full_frames=section.whole_frames,
-        retention=Retention(runs, room, last=last, only_stored=section.store is not None),
-        uploads=None if section.store is None else _uploads(settings, section.store, runs),
-    )
-    return recorded_devices(devices, recorder, recording.uploads), recording
-
-
-def _uploads(settings: Settings, url: str, runs: Path) -> Uploads:
-    uploads = Uploads(partial(Store, url), runs, line_name(settings))
-    uploads.start()
-    return uploads
+    retention = Retention(runs, section, tuple(map(time_of_day.fromisoformat, shifts)))
+    uploads = None
+    if section.store is not None:
+        uploads = Uploads(partial(Store, section.store), runs, line_name(settings))
+        uploads.start()
+    recording = RecordingSetup(recorder, wanted=section, retention=retention, uploads=uploads)
+    return recorded_devices(devices, recorder, uploads), recording
 
 
 _UR_TUNING = ("lookahead_s", "gain")
@@ -226,19 +216,12 @@ def emulators_asked_for(settings: Settings, config: Path, seed: int) -> Iterator
         yield
 
 
-@dataclass(frozen=True)
-class StagedDevices:
-    """Guarded devices, and the simulated assistant for calibrations; None = a person assists."""
-
-    devices: Devices
-    assistant: SimulatedAssistant | None
-
-
 @contextmanager
 def staged_devices(
     settings: Settings, config: Path, calibration: Calibrated, seed: int, views: int
-) -> Iterator[StagedDevices]:
+) -> Iterator[tuple[Devices, SimulatedAssistant | None]]:
     """The devices of a cell that is to be calibrated, owned and none of them connected yet.
+    With the simulated assistant; None = a person assists.
 
     views   of the board that a simulated assistant has ready
     raises  InputError: another program owns them; emulators do not start, or run already
@@ -262,7 +245,7 @@ def staged_devices(
                 emulated = stack.enter_context(emulating(settings, config, seed))
                 assistant = SimulatedAssistant(settings, emulated.camera.notify, seed, views)
             devices = real_devices(settings, calibration)
-        yield StagedDevices(guarded_devices(settings, devices), assistant)
+        yield guarded_devices(settings, devices), assistant
 
 
 def twin_devices(twins: Twins) -> Devices:

@@ -26,14 +26,6 @@ Act = Callable[[EmulatedCell], None]
 
 
 @dataclass(frozen=True)
-class FaultKind:
-    """Description of a fault, and the action that causes it."""
-
-    what: str
-    cause: Act
-
-
-@dataclass(frozen=True)
 class RequestedFault:
     """A fault that a person has requested.
 
@@ -63,29 +55,28 @@ def _gripper(**faults: Any) -> Act:
     return lambda cell: setattr(cell.gripper, "faults", RobotiqFaults(**faults))
 
 
-KINDS: Mapping[str, FaultKind] = {
-    "arm.protective_stop": FaultKind("the controller stops the arm", _arm("protective_stop")),
-    "arm.safeguard_stop": FaultKind("somebody opens the guard", _arm("safeguard_stop")),
-    "arm.emergency_stop": FaultKind("somebody presses the button", _arm("emergency_stop")),
-    "arm.slowed": FaultKind("the speed slider is set to 50 %", _arm("speed_fraction", value=0.5)),
-    "arm.local": FaultKind("the pendant is switched to local control", _arm("local", on=True)),
-    "arm.lost": FaultKind("its connections break off, once", _arm("drop")),
-    "arm.frozen": FaultKind("the controller neither reads nor sends", _arm("freeze", seconds=1e6)),
-    "arm.garbage": FaultKind("it sends random bytes, once", _arm("garbage")),
-    "camera.lost": FaultKind(
-        "its connection breaks off, and none is accepted", _camera(refuses=True)
-    ),
-    "camera.silent": FaultKind("no picture comes, the connection stays", _camera(silent=True)),
-    "camera.frozen": FaultKind("the same picture comes again and again", _camera(frozen=True)),
-    "camera.missing": FaultKind("one picture is missing, once", _camera(missing=1)),
-    "camera.slow": FaultKind("pictures come at half the rate", _camera(slow=2.0)),
-    "camera.garbage": FaultKind("random bytes come in place of pictures", _camera(garbage=True)),
-    "gripper.lost": FaultKind("its cable is pulled", lambda cell: cell.gripper.unplug()),
-    "gripper.silent": FaultKind("it does not answer", _gripper(silent=True)),
-    "gripper.garbage": FaultKind("it answers random bytes", _gripper(garbage=True)),
-    "gripper.checksums": FaultKind("its checksums are wrong", _gripper(bad_crc=True)),
-    "gripper.jammed": FaultKind("the jaws do not move", _gripper(jammed=True)),
-    "gripper.empty": FaultKind(
+#: Faults by name: what happens, and the action that causes it.
+KINDS: Mapping[str, tuple[str, Act]] = {
+    "arm.protective_stop": ("the controller stops the arm", _arm("protective_stop")),
+    "arm.safeguard_stop": ("somebody opens the guard", _arm("safeguard_stop")),
+    "arm.emergency_stop": ("somebody presses the button", _arm("emergency_stop")),
+    "arm.slowed": ("the speed slider is set to 50 %", _arm("speed_fraction", value=0.5)),
+    "arm.local": ("the pendant is switched to local control", _arm("local", on=True)),
+    "arm.lost": ("its connections break off, once", _arm("drop")),
+    "arm.frozen": ("the controller neither reads nor sends", _arm("freeze", seconds=1e6)),
+    "arm.garbage": ("it sends random bytes, once", _arm("garbage")),
+    "camera.lost": ("its connection breaks off, and none is accepted", _camera(refuses=True)),
+    "camera.silent": ("no picture comes, the connection stays", _camera(silent=True)),
+    "camera.frozen": ("the same picture comes again and again", _camera(frozen=True)),
+    "camera.missing": ("one picture is missing, once", _camera(missing=1)),
+    "camera.slow": ("pictures come at half the rate", _camera(slow=2.0)),
+    "camera.garbage": ("random bytes come in place of pictures", _camera(garbage=True)),
+    "gripper.lost": ("its cable is pulled", lambda cell: cell.gripper.unplug()),
+    "gripper.silent": ("it does not answer", _gripper(silent=True)),
+    "gripper.garbage": ("it answers random bytes", _gripper(garbage=True)),
+    "gripper.checksums": ("its checksums are wrong", _gripper(bad_crc=True)),
+    "gripper.jammed": ("the jaws do not move", _gripper(jammed=True)),
+    "gripper.empty": (
         "the cable falls out of the jaws, or none is there",
         lambda cell: cell.gripper.lay_out(False),
     ),
@@ -165,11 +156,11 @@ class DeviceFaults:
             timer.start()
 
     def _cause(self, fault: RequestedFault) -> None:
-        kind = KINDS[fault.name]
+        what, cause = KINDS[fault.name]
         try:
-            kind.cause(self._cell)
+            cause(self._cell)
         except Exception as error:  # a timer's thread has no other report
             self._say(f"{fault.name}: cannot be given: {error}")
             return
         _LOG.info("fault given: %s", fault.name)
-        self._say(f"{fault.name}: {kind.what}")
+        self._say(f"{fault.name}: {what}")

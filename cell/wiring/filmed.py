@@ -184,7 +184,9 @@ def record_film(
     memory = (settings.recording or RecordingSettings()).memory_mb * 10**6
     recorder = Recorder(devices.arm, clock, memory, PATIENCE_S)
     filming = Filming(film.begin_s, film.rest_s, film.end_s, len(film.frames))
-    decides = _is_near(film.ends_at, cell_task(settings, known).lowered)
+    ends, begins = film.ends_at, cell_task(settings, known).lowered
+    away_m = float(np.hypot(ends.x_m - begins.x_m, ends.y_m - begins.y_m))
+    decides = away_m < NEAR_M and abs(ends.angle_rad - begins.angle_rad) < NEAR_RAD
 
     def step(number: int, name: str) -> None:
         if name == FILM:
@@ -193,7 +195,7 @@ def record_film(
 
     with TemporaryDirectory(dir=target.parent) as folder:
         around = recorded_devices(devices, recorder)
-        archive = Archive(RecordingSetup(recorder, full_frames=True))
+        archive = Archive(RecordingSetup(recorder, wanted=RecordingSettings(whole_frames=True)))
         cell = cell_with(settings, around, Path(folder), step, known, archive=archive)
         try:
             result = cell.run_cycle(1, filmed(filming, decides=decides))
@@ -204,8 +206,3 @@ def record_film(
             raise InputError.at(target, "was not written: " + "; ".join(cell.notes()))
         written.replace(target)
     return replace(result, folder=str(target))
-
-
-def _is_near(pose: Pose, other: Pose) -> bool:
-    away_m = float(np.hypot(pose.x_m - other.x_m, pose.y_m - other.y_m))
-    return away_m < NEAR_M and abs(pose.angle_rad - other.angle_rad) < NEAR_RAD

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,6 +14,7 @@ from cell.files.input_error import InputError
 from cell.files.plain import plain
 from cell.records.recording import form
 from cell.records.recording.reading import Recording
+from cell.records.recording.recorder import Recorder
 from cell.records.recording.unpack import restored_files
 from cell.records.result import Outcome, Result
 from cell.run.archive import Archive, RecordingSetup
@@ -168,7 +169,7 @@ def replay(
     with TemporaryDirectory() as folder:
         settings, known = _settings(recording, config, Path(folder), cycle)
         devices, set_clock = replayed_devices(recording, settings)
-        events = _ReplayedEvents()
+        events = _ReplayedEvents(devices)
 
         def step(number: int, name: str) -> None:
             set_clock(number, name)
@@ -180,13 +181,12 @@ def replay(
             result = cell.run_cycle(cycle["cycle"], plan)
         finally:
             cell.close()
-    then, now = _recorded_values(recording), events.values()
     return Replayed(
         recording.path,
         result,
         recording.complete,
-        then.decision is not None,
-        tuple(_differences(then, now)),
+        recording.count(form.DECISION) > 0,
+        tuple(_differences(recording, events)),
         _software(recording, events.begun),
         recording.losses(),
     )
@@ -224,72 +224,42 @@ def _at_once(settings: Settings) -> Settings:
     return settings.model_copy(update={"world": world})
 
 
-@dataclass(frozen=True)
-class _ReplayedValues:
-    decision: Mapping[str, Any] | None
-    models: Sequence[Mapping[str, Any]]
-    result: Mapping[str, Any] | None
+class _ReplayedEvents(Recorder):
+    """Collects the events of a replayed cycle, and writes no file; read as a `Recording` is."""
 
-
-class _ReplayedEvents:
-    """Collects the events of a replayed cycle, in place of a recorder."""
-
-    def __init__(self) -> None:
+    def __init__(self, devices: Devices) -> None:
+        super().__init__(devices.arm, devices.clock, memory_bytes=0)
         self.begun: Mapping[str, str] = {}
-        self.notes: list[str] = []
         self._events: dict[str, list[dict[str, Any]]] = {}
 
     def begin(self, path: Path, begun: Mapping[str, str], vision: Any = None) -> None:
+        """Keep the metadata."""
         self.begun = dict(begun)
 
     def event(self, topic: str, data: Mapping[str, Any]) -> None:
         """Store it as it would be read from a file."""
         self._events.setdefault(topic, []).append(plain(data))
 
-    def add_detections(self, t_s: Sequence[float], points_px: Any) -> None:
-        """Ignore them: they follow from the other data."""
+    def json(self, topic: str) -> Iterator[dict[str, Any]]:
+        """Events of a topic, in their order."""
+        return iter(self._events.get(topic, ()))
 
-    def end(self, keep: bool = True, whole: bool = False) -> None:
-        """Nothing is written."""
-
-    def note(self, text: str) -> None:
-        """Nothing is recorded."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def values(self) -> _ReplayedValues:
-        decisions, results = self._events.get(form.DECISION), self._events.get(form.RESULT)
-        return _ReplayedValues(
-            decisions[-1] if decisions else None,
-            self._events.get(form.MODEL, []),
-            results[-1] if results else None,
-        )
+    def last(self, topic: str) -> dict[str, Any] | None:
+        """The last event of a topic; None = there is none."""
+        return next(reversed(self._events.get(topic, [])), None)
 
 
-def _recorded_values(recording: Recording) -> _ReplayedValues:
-    return _ReplayedValues(
-        recording.last(form.DECISION), list(recording.json(form.MODEL)), recording.last(form.RESULT)
-    )
-
-
-def _differences(then: _ReplayedValues, now: _ReplayedValues) -> list[ReplayDifference]:
-    differences = []
-    pairs: list[tuple[str, Any, Any]] = [
-        ("decision", _part(then.decision), _part(now.decision)),
-        *(
-            (f"model {i + 1}", a, b)
-            for i, (a, b) in enumerate(zip(then.models, now.models, strict=False))
-        ),
-    ]
-    if then.result is not None and now.result is not None:
-        known = [k for k in _OF_RESULT if k in then.result or k not in _RECORDED_LATER]
-        a, b = ({k: r.get(k) for k in known} for r in (then.result, now.result))
-        pairs.append(("result", a, b))
-    for name, a, b in pairs:
-        differences += _compared(name, a, b)
-    if len(now.models) < len(then.models):  # more are no difference: the recording may be cut off
-        differences.append(ReplayDifference("models", len(then.models), len(now.models)))
+def _differences(then: Recording, now: _ReplayedEvents) -> list[ReplayDifference]:
+    differences = _compared("decision", *(_part(of.last(form.DECISION)) for of in (then, now)))
+    models, others = list(then.json(form.MODEL)), list(now.json(form.MODEL))
+    for number, (a, b) in enumerate(zip(models, others, strict=False), start=1):
+        differences += _compared(f"model {number}", a, b)
+    result, other = then.last(form.RESULT), now.last(form.RESULT)
+    if result is not None and other is not None:
+        known = [k for k in _OF_RESULT if k in result or k not in _RECORDED_LATER]
+        differences += _compared("result", *({k: r.get(k) for k in known} for r in (result, other)))
+    if len(others) < len(models):  # more are no difference: the recording may be cut off
+        differences.append(ReplayDifference("models", len(models), len(others)))
     return differences
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.cable.dynamics import Beginning, simulate, simulate_each, simulate_gauged
+from cell.cable.dynamics import Beginning, simulate, simulate_each
 from cell.cable.effects import library
 from cell.cable.geometry import Cable, Connector, Motion
 from cell.cable.model import CableModel
@@ -28,9 +28,8 @@ def places(cable):
 
 def gauged(model, hand, t_s, gauge=BARE, solver=FINE, begin=None):
     """Markers (T, 60, 2) at Gauss points, force (T, 2) and moment (T,)."""
-    (out,) = simulate_gauged(
-        model, hand, [t_s], places(model.cable), gauge, solver=solver, begin=begin
-    )
+    arcs = places(model.cable)
+    (out,) = simulate_each(model, hand, [t_s], arcs, gauge=gauge, solver=solver, begin=begin)
     return out[:, :-2], out[:, -2], out[:, -1, 0]
 
 
@@ -74,7 +73,7 @@ def test_a_connector_and_a_tip_mass_add_their_weight_and_lever():
     tip = library()["tip_mass"].active(mass_kg=0.005)
     model = CableModel.uniform(cable, RIGIDITY, effects=(tip,))
     arcs = np.array([0.4 + 0.5 * BODY.length_m, 0.4, 0.2])
-    (out,) = simulate_gauged(model, still(), [np.array([0.1])], arcs, Gauge(), solver=FINE)
+    (out,) = simulate_each(model, still(), [np.array([0.1])], arcs, gauge=Gauge(), solver=FINE)
     points, force, moment = gauged(model, still(), np.array([0.1]))
     masses = [0.06 * 0.4, BODY.mass_kg, 0.005]
     levers = [points[0, :, 0] @ SHARES, out[0, 0, 0], out[0, 1, 0]]
@@ -86,7 +85,7 @@ def test_a_point_mass_is_carried_at_its_place_and_at_the_end_is_a_tip_mass():
     mass, place = library()["point_mass"], 0.37
     arcs, t_s = CABLE.free_length_m * np.array([place]), np.array([0.1])
     model = CableModel.uniform(CABLE, RIGIDITY, effects=(mass.active(mass_kg=0.004, place=place),))
-    (out,) = simulate_gauged(model, still(), [t_s], arcs, Gauge(), solver=FINE)
+    (out,) = simulate_each(model, still(), [t_s], arcs, gauge=Gauge(), solver=FINE)
     points, force, moment = gauged(model, still(), t_s)
     weights = 9.81 * np.array([CABLE.line_density_kg_per_m * CABLE.free_length_m, 0.004])
     np.testing.assert_allclose(force[0], [0.0, weights.sum()], atol=1e-9)
@@ -198,7 +197,7 @@ def test_markers_are_those_of_a_simulation_without_a_gauge():
     t_s = [np.arange(0.1, 0.5, 0.01) + 1e-3 * k for k in range(18)]
     arcs, coarse = np.array([0.4, 0.2]), Solver(segments=12, step_s=2e-3)
     plain = simulate_each(models, hand, t_s, arcs, solver=coarse)
-    shown = simulate_gauged(models, hand, t_s, arcs, Gauge(), solver=coarse)
+    shown = simulate_each(models, hand, t_s, arcs, gauge=Gauge(), solver=coarse)
     for one, other in zip(plain, shown, strict=True):
         np.testing.assert_array_equal(one, other[:, :2])
         assert np.isnan(one).all() == np.isnan(other).all()
@@ -220,11 +219,13 @@ def test_the_wrench_of_a_lane_does_not_depend_on_lanes_beside_it():
     hand, coarse = stroke(0.2, (-0.05, -0.08), 0.3), Solver(segments=20, step_s=2e-3)
     t_s = np.arange(0.1, 0.4567, 2e-3)
     arcs, longer = np.array([0.4]), np.arange(0.1, 0.6, 2e-3)
-    (alone,) = simulate_gauged(model, hand, [t_s], arcs, Gauge(), solver=coarse)
-    beside, _ = simulate_gauged([model] * 2, hand, [t_s, longer], arcs, Gauge(), solver=coarse)
+    (alone,) = simulate_each(model, hand, [t_s], arcs, gauge=Gauge(), solver=coarse)
+    beside, _ = simulate_each([model] * 2, hand, [t_s, longer], arcs, gauge=Gauge(), solver=coarse)
     np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-12)
     ending = [np.append(t_s[t_s < end], end) for end in np.linspace(0.4, 0.402, 7)]
     for each in ending:
-        (short,) = simulate_gauged(model, hand, [each], arcs, Gauge(), solver=coarse)
-        (long,) = simulate_gauged(model, hand, [np.append(each, 0.5)], arcs, Gauge(), solver=coarse)
+        (short,) = simulate_each(model, hand, [each], arcs, gauge=Gauge(), solver=coarse)
+        (long,) = simulate_each(
+            model, hand, [np.append(each, 0.5)], arcs, gauge=Gauge(), solver=coarse
+        )
         np.testing.assert_allclose(short, long[:-1], rtol=1e-9, atol=1e-12)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cell.cable.dynamics import simulate, simulate_gauged
+from cell.cable.dynamics import simulate, simulate_each
 from cell.cable.effects import ActiveEffect, library
 from cell.cable.geometry import Cable, Motion, node_arc_lengths
 from cell.cable.model import CableModel
@@ -60,7 +60,7 @@ class ForceSensor:
         """Readings for a cable from rest; `quiet`: without errors."""
         t_s = np.arange(rng.uniform(0.0, 1.0 / self.rate_hz), hand.t_s[-1], 1.0 / self.rate_hz)
         tip_m = np.array([model.cable.length_m])
-        (gauged,) = simulate_gauged(model, hand, [t_s], tip_m, Gauge(self.tool), solver=WORLD)
+        (gauged,) = simulate_each(model, hand, [t_s], tip_m, gauge=Gauge(self.tool), solver=WORLD)
         values = gauged[:, 1:].reshape(len(t_s), -1)[:, :3]
         if quiet:
             return Wrench(t_s, values)

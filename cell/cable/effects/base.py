@@ -11,6 +11,9 @@ from typing import Any, ClassVar, NamedTuple
 
 from cell.cable.arrays import FloatArray
 
+#: Hooks that run in every step, compiled.
+COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
+
 
 def after_number(unit: str) -> str:
     """A unit as it stands behind its number; nothing for a pure number, whose unit is 1."""

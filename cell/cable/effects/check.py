@@ -11,14 +11,13 @@ import inspect
 import itertools
 import math
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import (
     Bend,
     CableData,
@@ -52,7 +51,9 @@ OTHERWISE = {"inertia": ("cable", "arc_length", "p")}
 _FIELDS = ("name", "parameters", "memory", "dissipative", "smooth", "wider")
 
 _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
-_ARCS_M = np.linspace(0.0, 0.1, 5)
+#: Arc lengths, times and points of a picture at which hooks of arrays are called.
+_ARCS_M, _TIMES_S = np.linspace(0.0, 0.1, 5), np.linspace(0.0, 0.6, 301)
+_POINTS_M = np.stack([-0.1 + 0.05 * _TIMES_S, np.full(301, -0.03)], axis=-1)
 
 
 #: Callback with the next task, its line, and the seconds of computing that it may take.
@@ -74,10 +75,10 @@ def check(effect: type[Effect], doing: Doing = lambda what, line, seconds: None)
         for hook in HOOKS:
             if getattr(effect, hook) is not None:
                 doing(f"{effect.name}.{hook}", _line(effect, hook), PATIENCE_S)
-                _try(effect, hook, p, path)
-    _check_off(effect, path)
+                _try(effect, hook, p)
+    _check_off(effect)
     if effect.dissipative:
-        _check_dissipation(effect, path, doing)
+        _check_dissipation(effect, doing)
 
 
 def _where(effect: type[Effect]) -> tuple[Path, int]:
@@ -159,105 +160,113 @@ def _bends() -> Iterator[Bend]:
         yield Bend(curvature, rate, 3e-5, 0.02)
 
 
-def _try(effect: type[Effect], hook: str, p: Any, path: Path) -> None:
+def _calls(effect: type[Effect], hook: str, p: Any) -> list[tuple[Any, ...]]:
+    """Arguments of a hook, one after another, at the probe states."""
     memory = SimpleNamespace(**dict.fromkeys(effect.memory, 0.3))
-    t = np.linspace(0.0, 0.6, 301)
-    xy = np.stack([-0.1 + 0.05 * t, -0.03 * np.ones_like(t)], axis=-1)
-    count = len(effect.memory)
-    if hook == "force":
-        for place in _places():
-            _numbers(effect, hook, 2, path, _CABLE, place, p)
-    elif hook in ("moment", "memory_rate"):
-        for bend in _bends():
-            size = 0 if hook == "moment" else count
-            _numbers(effect, hook, size, path, _CABLE, bend, memory, p)
-    elif hook == "memory_at_rest":
-        for bend in _bends():
-            _numbers(effect, hook, count, path, _CABLE, bend._replace(rate=0.0), p)
-    elif hook == "inertia" and effect.varies_along_cable():
-        _inertia_along(effect, path, p)
-    elif hook == "inertia":
-        _numbers(effect, hook, 2, path, _CABLE, p)
-    elif hook in ("tip_mass", "point_mass", "grip_compliance", "extra_length"):
-        size = 2 if hook in ("grip_compliance", "point_mass") else 0
-        values = _numbers(effect, hook, size, path, _CABLE, p)
-        if hook != "extra_length" and min(values) < 0.0:
-            _refuse(effect, hook, path, f"returned {values}: must be ≥ 0")
-    elif hook == "rest_curvature":
-        _array(effect, hook, _ARCS_M.shape, path, _CABLE, _ARCS_M, p)
-    elif hook == "clamp":
-        pose = HandMotion(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
-        moved = _call(effect, hook, path, pose, p)
-        if not callable(moved):
-            _refuse(effect, hook, path, f"returned {moved!r}: must be a function of time")
-        try:
-            result = np.array(moved(t), dtype=np.float64)
-        except (Exception, SystemExit) as error:
-            raise _placed(error, effect, hook, path) from error
-        if result.shape != (3, t.size) or not np.all(np.isfinite(result)):
-            _refuse(effect, hook, path, f"pose(t) has shape {result.shape}, not finite (3, T)")
-    elif hook == "camera_time":
-        _array(effect, hook, t.shape, path, _CABLE, t, xy, p)
-    else:
-        _array(effect, hook, xy.shape, path, _CABLE, xy, p)
+    states: dict[str, Iterable[tuple[Any, ...]]] = {
+        "force": ((place,) for place in _places()),
+        "moment": ((bend, memory) for bend in _bends()),
+        "memory_rate": ((bend, memory) for bend in _bends()),
+        "memory_at_rest": ((bend._replace(rate=0.0),) for bend in _bends()),
+        "rest_curvature": [(_ARCS_M,)],
+        "camera_time": [(_TIMES_S, _POINTS_M)],
+        "camera_points": [(_POINTS_M,)],
+    }
+    if hook == "inertia" and effect.varies_along_cable():
+        return [(_CABLE, _ARCS_M, p)]
+    return [(_CABLE, *state, p) for state in states.get(hook, [()])]
 
 
-def _numbers(effect: type[Effect], hook: str, size: int, path: Path, *args: Any) -> list[float]:
+def _try(effect: type[Effect], hook: str, p: Any) -> None:
+    if hook == "clamp":
+        _try_clamp(effect, p)
+        return
+    sizes = {"force": 2, "inertia": 2, "point_mass": 2, "grip_compliance": 2}
+    sizes |= dict.fromkeys(("memory_rate", "memory_at_rest"), len(effect.memory))
+    for args in _calls(effect, hook, p):
+        if hook in ("rest_curvature", "camera_time", "camera_points"):
+            _array(effect, hook, args)
+        elif hook == "inertia" and effect.varies_along_cable():
+            _inertia_along(effect, args)
+        else:
+            values = _numbers(effect, hook, sizes.get(hook, 0), args)
+            if hook in ("tip_mass", "point_mass", "grip_compliance") and min(values) < 0.0:
+                _refuse(effect, hook, f"returned {values}: must be ≥ 0")
+
+
+def _try_clamp(effect: type[Effect], p: Any) -> None:
+    pose = HandMotion(lambda t: (0.01 * t, -0.05 * np.tanh(9.0 * t - 2.0), 0.0 * t), 0.0, 0.6)
+    moved = _call(effect, "clamp", (pose, p))
+    if not callable(moved):
+        _refuse(effect, "clamp", f"returned {moved!r}: must be a function of time")
+    try:
+        result = np.array(moved(_TIMES_S), dtype=np.float64)
+    except (Exception, SystemExit) as error:
+        raise _placed(error, effect, "clamp") from error
+    if result.shape != (3, _TIMES_S.size) or not np.all(np.isfinite(result)):
+        _refuse(effect, "clamp", f"pose(t) has shape {result.shape}, not finite (3, T)")
+
+
+def _numbers(effect: type[Effect], hook: str, size: int, args: tuple[Any, ...]) -> list[float]:
     """Result of a scalar hook: `size` numbers, or one if 0."""
-    result = _call(effect, hook, path, *args)
+    result = _call(effect, hook, args)
     wanted = f"a tuple of {size} numbers" if size else "one number"
     sequence = isinstance(result, tuple)
     values = list(result) if sequence else [result]
     if sequence != bool(size) or len(values) != max(1, size):
-        _refuse(effect, hook, path, f"returned {result!r}: must be {wanted}")
+        _refuse(effect, hook, f"returned {result!r}: must be {wanted}")
     for value in values:
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            _refuse(effect, hook, path, f"returned {result!r}: must be {wanted}")
+            _refuse(effect, hook, f"returned {result!r}: must be {wanted}")
         if not math.isfinite(value):
-            _refuse(effect, hook, path, f"returned {result!r} for {args[1:]}: must be finite")
+            _refuse(effect, hook, f"returned {result!r} for {args[1:]}: must be finite")
     return [float(v) for v in values]
 
 
-def _array(effect: type[Effect], hook: str, shape: tuple[int, ...], path: Path, *args: Any) -> None:
-    result = np.asarray(_call(effect, hook, path, *args))
+def _array(effect: type[Effect], hook: str, args: tuple[Any, ...]) -> None:
+    """Check the result of a hook of arrays: as many values as its first array has."""
+    result, shape = np.asarray(_call(effect, hook, args)), args[1].shape
     if result.shape != shape and hook != "camera_time":
-        _refuse(effect, hook, path, f"returned shape {result.shape}: must be {shape}")
-    if result.dtype.kind not in "fi" or not np.all(np.isfinite(result)):
-        _refuse(effect, hook, path, "returned values that are not finite")
+        _refuse(effect, hook, f"returned shape {result.shape}: must be {shape}")
+    _check_finite(effect, hook, result)
 
 
-def _inertia_along(effect: type[Effect], path: Path, p: Any) -> FloatArray:
-    """(2, places) along and normal, kg/m."""
-    result = _call(effect, "inertia", path, _CABLE, _ARCS_M, p)
+def _inertia_along(effect: type[Effect], args: tuple[Any, ...]) -> None:
+    """Check the result of `inertia` at arc lengths."""
+    result = _call(effect, "inertia", args)
     wanted = f"(along, normal), each a number or of shape {_ARCS_M.shape}"
     if not isinstance(result, tuple) or len(result) != 2:
-        _refuse(effect, "inertia", path, f"returned {result!r}: must be {wanted}")
+        _refuse(effect, "inertia", f"returned {result!r}: must be {wanted}")
     for each in map(np.asarray, result):
         if each.shape not in ((), _ARCS_M.shape):
-            _refuse(effect, "inertia", path, f"returned shape {each.shape}: must be {wanted}")
-        if each.dtype.kind not in "fi" or not np.all(np.isfinite(each)):
-            _refuse(effect, "inertia", path, "returned values that are not finite")
-    return np.stack([np.broadcast_to(each, _ARCS_M.shape) for each in result])
+            _refuse(effect, "inertia", f"returned shape {each.shape}: must be {wanted}")
+        _check_finite(effect, "inertia", each)
 
 
-def _call(effect: type[Effect], hook: str, path: Path, *args: Any) -> Any:
+def _check_finite(effect: type[Effect], hook: str, result: np.ndarray) -> None:
+    if result.dtype.kind not in "fi" or not np.all(np.isfinite(result)):
+        _refuse(effect, hook, "returned values that are not finite")
+
+
+def _call(effect: type[Effect], hook: str, args: tuple[Any, ...]) -> Any:
     try:
         with np.errstate(all="ignore"):
             return getattr(effect, hook)(*args)
     except (Exception, SystemExit) as error:
-        raise _placed(error, effect, hook, path) from error
+        raise _placed(error, effect, hook) from error
 
 
-def _placed(error: BaseException, effect: type[Effect], hook: str, path: Path) -> EffectError:
+def _placed(error: BaseException, effect: type[Effect], hook: str) -> EffectError:
     """The error at the line of the effect's own file where it arose."""
+    path, _ = _where(effect)
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if Path(f.filename) == path]
     line = own[-1].lineno if own else _line(effect, hook)
     return EffectError(path, line or 0, f"{effect.name}.{hook}: {error_text(error)}")
 
 
-def _refuse(effect: type[Effect], hook: str, path: Path, cause: str) -> None:
-    raise EffectError(path, _line(effect, hook), f"{effect.name}.{hook} {cause}")
+def _refuse(effect: type[Effect], hook: str, cause: str) -> None:
+    raise EffectError(_where(effect)[0], _line(effect, hook), f"{effect.name}.{hook} {cause}")
 
 
 def _line(effect: type[Effect], hook: str) -> int:
@@ -265,45 +274,29 @@ def _line(effect: type[Effect], hook: str) -> int:
     return int(function.__code__.co_firstlineno)
 
 
-def _check_off(effect: type[Effect], path: Path) -> None:
+def _check_off(effect: type[Effect]) -> None:
     """At the defaults of its amplitudes the effect must be absent, whatever its other values."""
     values = {q.name: q.default if q.amplitude else q.starts[0] for q in effect.parameters}
     p = SimpleNamespace(**values)
-    memory = SimpleNamespace(**dict.fromkeys(effect.memory, 0.3))
     amplitudes = ", ".join(f"{q.name} = {q.default:g}" for q in effect.parameters if q.amplitude)
-
-    def off(hook: str, absent: bool) -> None:
-        if not absent:
-            _refuse(effect, hook, path, f"is not off at {amplitudes}: mend that")
-
-    if effect.force is not None:
-        for place in _places():
-            off("force", not any(effect.force(_CABLE, place, p)))
-    if effect.moment is not None:
-        for bend in _bends():
-            off("moment", effect.moment(_CABLE, bend, memory, p) == 0.0)
-    if effect.inertia is not None:
-        along = effect.varies_along_cable()
-        added = _inertia_along(effect, path, p) if along else effect.inertia(_CABLE, p)
-        off("inertia", not np.any(added))
-    for hook in ("tip_mass", "extra_length"):
-        function = getattr(effect, hook)
-        off(hook, function is None or function(_CABLE, p) == 0.0)
-    if effect.point_mass is not None:
-        off("point_mass", effect.point_mass(_CABLE, p)[0] == 0.0)
-    if effect.grip_compliance is not None:
-        off("grip_compliance", effect.grip_compliance(_CABLE, p)[0] == 0.0)
-    if effect.rest_curvature is not None:
-        off("rest_curvature", not np.any(effect.rest_curvature(_CABLE, _ARCS_M, p)))
-    xy = np.array([[-0.1, -0.03], [-0.05, -0.01]])
-    t = np.array([0.1, 0.2])
-    if effect.camera_time is not None:
-        off("camera_time", np.allclose(effect.camera_time(_CABLE, t, xy, p), t, rtol=0, atol=1e-12))
-    if effect.camera_points is not None:
-        off("camera_points", np.allclose(effect.camera_points(_CABLE, xy, p), xy, atol=1e-12))
+    for hook in HOOKS:
+        if getattr(effect, hook) is None or hook in ("memory_rate", "memory_at_rest", "clamp"):
+            continue
+        for args in _calls(effect, hook, p):
+            result = getattr(effect, hook)(*args)
+            if hook == "camera_time":
+                absent = np.allclose(result, args[1], rtol=0.0, atol=1e-12)
+            elif hook == "camera_points":
+                absent = np.allclose(result, args[1], atol=1e-12)
+            else:
+                results = result if isinstance(result, tuple) else (result,)
+                size = 1 if hook in ("point_mass", "grip_compliance") else None
+                absent = not any(np.any(value) for value in results[:size])
+            if not absent:
+                _refuse(effect, hook, f"is not off at {amplitudes}: mend that")
 
 
-def _check_dissipation(effect: type[Effect], path: Path, doing: Doing) -> None:
+def _check_dissipation(effect: type[Effect], doing: Doing) -> None:
     for values in _probe_values(effect):
         p = SimpleNamespace(**values)
         hook = "force" if effect.moment is None else "moment"
@@ -317,7 +310,6 @@ def _check_dissipation(effect: type[Effect], path: Path, doing: Doing) -> None:
                     _refuse(
                         effect,
                         "force",
-                        path,
                         f"feeds {power:.3g} W/m into the cable at {place} with {values}, "
                         "although declared dissipative",
                     )
@@ -328,7 +320,6 @@ def _check_dissipation(effect: type[Effect], path: Path, doing: Doing) -> None:
                     _refuse(
                         effect,
                         "moment",
-                        path,
                         f"feeds {-work:.3g} N per bending cycle of ±{amplitude} /m with {values}, "
                         "although declared dissipative",
                     )

@@ -12,13 +12,10 @@ from typing import Any
 
 from numba import typeof
 
-from cell.cable.effects.base import Effect, EffectError
+from cell.cable.effects.base import COMPILED, Effect, EffectError
 from cell.cable.effects.remote import is_remote, run_remote
 from cell.computer.watched import must_end
 from cell.files.words import error_text
-
-#: Hooks that run in every step, compiled.
-COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
 
 
 def with_compiled_hooks(effects: Iterable[type[Effect]]) -> tuple[type[Effect], ...]:

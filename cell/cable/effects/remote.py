@@ -15,7 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from cell.cable.effects.base import Effect, EffectError, EffectFile, HandMotion, Parameter
+from cell.cable.effects.base import (
+    COMPILED,
+    Effect,
+    EffectError,
+    EffectFile,
+    HandMotion,
+    Parameter,
+)
 from cell.cable.effects.compiled import Loops, symbol_of, take_loops
 from cell.computer.confinement import UnconfinedError
 from cell.computer.sandbox import Nursery, Sandbox, SandboxEndedError, SandboxStuckError
@@ -29,7 +36,8 @@ LOADING_S = 120.0
 _MOST = 8
 _LONGEST_NAME, _LONGEST_TEXT = 60, 2000
 _NONSENSE = "answers neither numbers nor a mistake: mend that"
-_ENGINE_ARRAYS = {"balance": (0,), "integrate": (0, 9, 10)}
+#: Functions of the engine, and which of their arguments they write to.
+WRITTEN = {"balance": (0,), "integrate": (0, 9, 10)}
 
 #: Folders and files whose effects are confined in this process, apart from marked folders.
 _confined: set[Path] = set()
@@ -84,7 +92,7 @@ def run_remote(name: str, own: Sequence[type[Effect]], *args: Any) -> Any:
     what = f"{own[0].name}: a compiled hook"
     answer = _request(own, {"engine": name, "args": tuple(copies)}, what)
     results = [*answer["arrays"], answer["memory"]]
-    targets = [*(args[i] for i in _ENGINE_ARRAYS[name]), others[2]]
+    targets = [*(args[i] for i in WRITTEN[name]), others[2]]
     for target, result in zip(targets, results, strict=True):
         if getattr(result, "shape", None) != target.shape or result.dtype != target.dtype:
             raise _error(own[0], f"{what} gives no numbers: mend that")
@@ -130,12 +138,8 @@ def _error(effect: type[Effect], cause: str) -> EffectError:
 
 def _sandbox(own: tuple[type[Effect], ...]) -> Sandbox:
     """This process's sandbox with these effects; a fork does not use its parent's."""
-    global _of_process
     with _making:
-        if _of_process != os.getpid():
-            _sandboxes.clear()
-            _of_process = os.getpid()
-        there = _sandboxes.get(own)
+        there = _own_sandboxes().get(own)
         if there is None or not there.is_there:
             assert own[0].file is not None
             there = _new(own[0].file.path)
@@ -151,15 +155,21 @@ def _sandbox(own: tuple[type[Effect], ...]) -> Sandbox:
         return there
 
 
-def _keep(own: tuple[type[Effect], ...], sandbox: Sandbox) -> None:
+def _own_sandboxes() -> OrderedDict[tuple[type[Effect], ...], Sandbox]:
+    """This process's sandboxes: a fork forgets those of its parent."""
     global _of_process
     if _of_process != os.getpid():
         _sandboxes.clear()
         _of_process = os.getpid()
-    _sandboxes[own] = sandbox
-    _sandboxes.move_to_end(own)
-    while len(_sandboxes) > _MOST:
-        _sandboxes.popitem(last=False)[1].end()
+    return _sandboxes
+
+
+def _keep(own: tuple[type[Effect], ...], sandbox: Sandbox) -> None:
+    kept = _own_sandboxes()
+    kept[own] = sandbox
+    kept.move_to_end(own)
+    while len(kept) > _MOST:
+        kept.popitem(last=False)[1].end()
 
 
 def _new(file: Path) -> Sandbox:
@@ -239,7 +249,7 @@ def _class_of(file: Path, source: bytes, data: dict[str, Any]) -> type[Effect]:
             "smooth": bool(data["smooth"]),
             "_line": int(data["line"]),
         }
-        hooks = [h for h in data["hooks"] if h in _RESULTS or h in _COMPILED]
+        hooks = [h for h in data["hooks"] if h in _RESULTS or h in COMPILED]
     except (ValueError, TypeError, KeyError, LookupError) as error:
         raise EffectError(file, 1, f"is no effect: {_text(error)}") from error
     effect: type[Effect] = type("Law", (Effect,), fields)
@@ -258,8 +268,6 @@ def _class_of(file: Path, source: bytes, data: dict[str, Any]) -> type[Effect]:
     return effect
 
 
-#: Hooks that compiled code calls.
-_COMPILED = ("force", "moment", "memory_rate", "memory_at_rest")
 #: Number of values that the other hooks return; 0 = an array.
 _RESULTS = {
     **{"inertia": 2, "tip_mass": 1, "point_mass": 2, "rest_curvature": 0, "grip_compliance": 2},
@@ -270,9 +278,8 @@ _RESULTS = {
 def _hook(effect: type[Effect], hook: str) -> Callable[..., Any]:
     def called(cable: Any, *args: Any) -> Any:
         what = f"{effect.name}.{hook}"
-        arguments = (tuple(map(float, cable)), *args[:-1], _values(args[-1]))
-        answer = _request((effect,), {"effect": effect.name, "hook": hook, "args": arguments}, what)
-        value, size = answer["value"], _RESULTS.get(hook, 1)
+        value = _value_of(effect, hook, tuple(map(float, cable)), *args)
+        size = _RESULTS.get(hook, 1)
         if size == 0:
             shape = np.shape(args[0])
             if hook == "camera_time":
@@ -294,9 +301,7 @@ def _inertia_along(effect: type[Effect]) -> Callable[..., Any]:
 
     def inertia(cable: Any, arc_length: Any, p: Any) -> Any:
         arcs = np.asarray(arc_length, dtype=np.float64)
-        arguments = (tuple(map(float, cable)), arcs, _values(p))
-        request = {"effect": effect.name, "hook": "inertia", "args": arguments}
-        value = _request((effect,), request, what)["value"]
+        value = _value_of(effect, "inertia", tuple(map(float, cable)), arcs, p)
         arrays = value if isinstance(value, tuple) else ()
         shapes = [np.shape(a) for a in arrays]
         if len(arrays) != 2 or any(s not in ((), arcs.shape) for s in shapes):
@@ -315,10 +320,7 @@ def _clamp(effect: type[Effect]) -> Callable[..., Any]:
                 return False, tuple(np.asarray(v) for v in pose(np.asarray(answer["pose"])))
 
             times = np.asarray(t_s, dtype=np.float64)
-            arguments = (pose.start_s, pose.end_s, times, _values(p))
-            request = {"effect": effect.name, "hook": "clamp", "args": arguments}
-            answer = _request((effect,), request, f"{effect.name}.clamp", more)
-            value = answer["value"]
+            value = _value_of(effect, "clamp", pose.start_s, pose.end_s, times, p, more=more)
             arrays = value if isinstance(value, tuple) else ()
             if len(arrays) != 3 or any(np.shape(a) != times.shape for a in arrays):
                 raise _error(effect, f"{effect.name}.clamp: pose(t) must be three arrays as t")
@@ -329,5 +331,13 @@ def _clamp(effect: type[Effect]) -> Callable[..., Any]:
     return clamp
 
 
-def _values(p: Any) -> dict[str, float]:
-    return {name: float(value) for name, value in vars(p).items()}
+def _value_of(
+    effect: type[Effect],
+    hook: str,
+    *args: Any,
+    more: Callable[[Any], tuple[bool, Any]] = lambda answer: (True, None),
+) -> Any:
+    """Result of a hook in a sandbox; its last argument has the parameters as attributes."""
+    values = {name: float(value) for name, value in vars(args[-1]).items()}
+    request = {"effect": effect.name, "hook": hook, "args": (*args[:-1], values)}
+    return _request((effect,), request, f"{effect.name}.{hook}", more)["value"]

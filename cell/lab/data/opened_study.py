@@ -208,7 +208,7 @@ def _too_short(study: Study, trial: Trial, facts: TrialFacts) -> str | None:
     if trial.start == "equilibrium" and not np.isfinite(moves_from_s(trial.grip)):
         return (
             f"is the last of {len(t_s)} rows in which the gripper moves by less than "
-            f"{STILL.position_m * 1e3:g} mm, and the cable is not let go: record a motion; give "
+            f"{STILL['x_m'] * 1e3:g} mm, and the cable is not let go: record a motion; give "
             "`start: held` with release_s if it was let go; or remove the trial"
         )
     return (

@@ -125,8 +125,11 @@ def _engine(url: URL, create: bool) -> Engine:
         if not path.with_name(f"{path.name}-wal").exists():  # nobody writes to it now
             query["immutable"] = "1"  # no auxiliary file is needed
         url = url.set(database=f"file:{path}", query=query)
+    arguments: dict[str, Any] = {"connect_args": {"timeout": BUSY_S}}
+    if not in_file:
+        arguments = {"connect_args": {"connect_timeout": CONNECT_S}, "pool_pre_ping": True}
     try:
-        engine = create_engine(url, **_arguments(in_file))
+        engine = create_engine(url, **arguments)
     except (NoDialectError, ModuleNotFoundError) as error:
         raise LedgerError(
             f"{url.render_as_string()} needs a package that is not installed: {error}; "
@@ -192,12 +195,6 @@ def writing(engine: Engine) -> Iterator[Connection]:
         if engine.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
         yield connection
-
-
-def _arguments(in_file: bool) -> dict[str, Any]:
-    if in_file:
-        return {"connect_args": {"timeout": BUSY_S}}
-    return {"connect_args": {"connect_timeout": CONNECT_S}, "pool_pre_ping": True}
 
 
 def _keep_transactions(engine: Engine, read_only: bool, create: bool) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+from pydantic import ConfigDict, TypeAdapter
 
 from cell.files.input_error import InputError
 from cell.files.plain import plain
@@ -40,15 +44,6 @@ class Acknowledgement:
     by: str
     note: str = ""
 
-    def to_json(self) -> dict[str, str]:
-        """Plain data."""
-        return {"at": self.at.isoformat(), "by": self.by, "note": self.note}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, str]) -> Acknowledgement:
-        """Back from `to_json`.  Raises KeyError, ValueError: not one."""
-        return cls(datetime.fromisoformat(data["at"]), data["by"], data["note"])
-
 
 @dataclass(frozen=True)
 class LedgerEntry:
@@ -64,6 +59,8 @@ class LedgerEntry:
     acknowledged   acknowledgement of its fault; None = not yet
     waited       s since the previous cycle, by reason: `start`, `downstream`, `acknowledgement`, …
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     line: str
     cycle: int
@@ -87,31 +84,17 @@ class LedgerEntry:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        data |= {
-            "folder": str(self.folder),
-            "started": self.started.isoformat(),
-            "ended": None if self.ended is None else self.ended.isoformat(),
-            "result": None if self.result is None else self.result.to_json(),
-            "estimates": [asdict(e) for e in self.estimates],
-            "acknowledged": None if self.acknowledged is None else self.acknowledged.to_json(),
-        }
-        return plain(data)  # type: ignore[no-any-return]
+        return plain(_adapter().dump_python(self, mode="json"))  # type: ignore[no-any-return]
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> LedgerEntry:
-        """Back from `to_json`.  Raises KeyError, TypeError, ValueError: not an entry."""
-        known = dict(data)
-        acknowledged = data.get("acknowledged")  # older versions did not say so
-        known |= {
-            "folder": Path(data["folder"]),
-            "started": datetime.fromisoformat(data["started"]),
-            "ended": None if data["ended"] is None else datetime.fromisoformat(data["ended"]),
-            "result": None if data["result"] is None else Result.from_json(data["result"]),
-            "estimates": tuple(LedgerEstimate(**e) for e in data["estimates"]),
-            "acknowledged": acknowledged and Acknowledgement.from_json(acknowledged),
-        }
-        return cls(**known)
+        """Back from `to_json`; older versions had fewer entries.  Raises ValueError: none."""
+        return _adapter().validate_json(json.dumps(data), strict=True)
+
+
+@cache
+def _adapter() -> TypeAdapter[LedgerEntry]:
+    return TypeAdapter(LedgerEntry)
 
 
 def estimates_of(model: Mapping[str, Any] | None) -> tuple[LedgerEstimate, ...]:

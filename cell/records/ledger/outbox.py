@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from cell.files.atomic import write_new
 from cell.files.words import counted
@@ -67,7 +67,7 @@ class Outbox:
                 entries.append((file, LedgerEntry.from_json(json.loads(file.read_text("utf-8")))))
             except FileNotFoundError:  # another cell has just written it
                 continue
-            except (ValueError, KeyError, TypeError) as error:
+            except ValueError as error:
                 _LOG.error("%s is no entry of a ledger: %s: it is put aside", file, error)
                 with suppress(OSError):
                     file.rename(file.with_suffix(".bad"))
@@ -90,16 +90,6 @@ class Outbox:
 def _number(file: Path) -> int:
     digits = file.name.split("-")[0]
     return int(digits) if digits.isdigit() else 0
-
-
-class WritesEntries(Protocol):
-    """Interface of a ledger that entries are written to."""
-
-    def write(self, entries: Sequence[LedgerEntry]) -> None:
-        """Write entries, all or none.  Raises LedgerError."""
-
-    def close(self) -> None:
-        """Close its connections."""
 
 
 class LaterLedger:
@@ -131,7 +121,7 @@ class LedgerWriter:
     notes   messages for a person
     """
 
-    def __init__(self, ledger: WritesEntries, outbox: Path) -> None:
+    def __init__(self, ledger: LaterLedger, outbox: Path) -> None:
         self.notes: list[str] = []
         self._ledger = ledger
         self._outbox = Outbox(outbox)

@@ -61,10 +61,7 @@ def verify(path: Path, counts: Mapping[str, int] | None = None) -> dict[str, int
             summary = make_reader(file, validate_crcs=True).get_summary()
             if summary is None or summary.statistics is None:
                 raise TornRecordingError(f"{path} has no index")
-            stated = {
-                summary.channels[number].topic: n
-                for number, n in summary.statistics.channel_message_counts.items()
-            }
+            stated = _counts(summary)
             read = Counter(topic for topic, _ in messages_in(file, summary))
     except UNREADABLE as error:
         raise TornRecordingError(f"{path} {_why(error)}") from error
@@ -249,11 +246,13 @@ def read_recording(path: Path) -> Recording:
         name = begun.get("format")
         raise InputError.at(path, f"format is {name!r}, not {form.FORMAT!r}; use that version")
     _check_folder(path, begun)
-    counts = {
-        summary.channels[number].topic: n
-        for number, n in summary.statistics.channel_message_counts.items()
-    }
-    return Recording(path, begun, metadata.get(form.CLOSED, {}), counts)
+    return Recording(path, begun, metadata.get(form.CLOSED, {}), _counts(summary))
+
+
+def _counts(summary: Summary) -> dict[str, int]:
+    """Number of messages by topic, as the index states it; empty without statistics."""
+    counts = {} if summary.statistics is None else summary.statistics.channel_message_counts
+    return {summary.channels[number].topic: n for number, n in counts.items()}
 
 
 def _check_folder(path: Path, begun: Mapping[str, str]) -> None:

@@ -1,7 +1,7 @@
 """Removes recordings to make room for new ones, except those that are marked as protected.
 
 First go full frames that are also stored as bands, then the oldest recordings of inserted cables,
-and last those that are likely to be needed (`LastRemoved`).
+and last those that are likely to be needed: `RecordingSettings.last_removed_every`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 import logging
 import statistics
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -31,42 +32,6 @@ _LOG = logging.getLogger(__name__)
 KEPT = "keep"
 _DAY_S = 86_400.0
 _NAMES = form.WHOLE, form.FILE
-
-
-@dataclass(frozen=True)
-class DiskRoom:
-    """Limits of the recordings' size and age; None = no limit.
-
-    max_age_s       older recordings are removed
-    max_bytes       of all recordings of a folder
-    min_free_bytes  on the disk before a cycle
-    """
-
-    max_age_s: float | None = None
-    max_bytes: float | None = None
-    min_free_bytes: float = 0.0
-
-    @classmethod
-    def of(cls, wanted: RecordingSettings) -> DiskRoom:
-        """Limits of the settings."""
-        days, size_gb = wanted.max_age_days, wanted.max_size_gb
-        return cls(
-            None if days is None else days * _DAY_S,
-            None if size_gb is None else size_gb * 1e9,
-            wanted.min_free_gb * 1e9,
-        )
-
-
-@dataclass(frozen=True)
-class LastRemoved:
-    """Recordings that are removed after all others, for any outcome of their cycle.
-
-    every   cycles whose number is a multiple of it; 0 = none
-    shifts  the first cycle of each shift; these are when they begin, local time
-    """
-
-    every: int = 0
-    shifts: tuple[time_of_day, ...] = ()
 
 
 class _Rank(IntEnum):
@@ -93,21 +58,17 @@ class Retention:
     """Removes recordings of a folder until the others fit into their room.
 
     The folder is listed once; later recordings are added to this list.
+
+    wanted  limits; if it names a store, recordings that are not in it yet are not removed either
+    shifts  when shifts begin, local time: the first cycle of each is removed after all others
     """
 
     def __init__(
-        self,
-        runs: Path,
-        room: DiskRoom,
-        *,
-        last: LastRemoved = LastRemoved(),
-        only_stored: bool = False,
+        self, runs: Path, wanted: RecordingSettings, shifts: Sequence[time_of_day] = ()
     ) -> None:
-        """`only_stored`: recordings that are in no store yet are not removed either."""
         self._runs = runs
-        self._room = room
-        self._last = last
-        self._only_stored = only_stored
+        self._wanted = wanted
+        self._begins = shifts
         self._known: list[_Known] | None = None
         self._ended: list[Path] = []
         self._shifts: set[datetime] = set()
@@ -133,10 +94,10 @@ class Retention:
             except OSError as error:
                 _LOG.warning("%s cannot be removed: %s", recording.path, error.strerror)
         free = free_bytes(self._runs)
-        if free < self._room.min_free_bytes:
+        if free < self._wanted.min_free_gb * 1e9:
             return (
                 f"{free / 1e9:.2f} GB are free on the disk of {self._runs}, "
-                f"{self._room.min_free_bytes / 1e9:g} GB are needed; make room there, or lower "
+                f"{self._wanted.min_free_gb:g} GB are needed; make room there, or lower "
                 "recording.min_free_gb"
             )
         return ""
@@ -147,7 +108,7 @@ class Retention:
 
     def _removable(self, recording: _Known) -> bool:
         folder = recording.path.parent
-        stored = not self._only_stored or (folder / form.STORED).exists()
+        stored = self._wanted.store is None or (folder / form.STORED).exists()
         again = recording.rank is _Rank.WHOLE_FRAMES
         return (stored or again) and not (folder / KEPT).exists()
 
@@ -185,33 +146,32 @@ class Retention:
         return [_Known(path, size, written_s, rank)]
 
     def _is_last(self, folder: Path) -> bool:
-        """Whether a cycle's recording is removed after all others; see `LastRemoved`."""
-        cycle = cycle_of(folder)
+        """Whether a cycle's recording is removed after all others."""
+        cycle, every = cycle_of(folder), self._wanted.last_removed_every
         if cycle is None:
             return False
         first = False
-        if self._last.shifts:
-            started = started_of(folder, None)
-            shift = shift_start(self._last.shifts, started)
+        if self._begins:
+            shift = shift_start(self._begins, started_of(folder, None))
             first = shift not in self._shifts
             self._shifts.add(shift)
-        sample = self._last.every > 0 and cycle % self._last.every == 0
-        return first or sample or not _is_inserted(folder)
+        outcome = known_json(folder / "result.json").get("outcome")
+        return first or (every > 0 and cycle % every == 0) or outcome != Outcome.INSERTED.value
 
     def _too_old(self, recording: _Known) -> str:
         """Why a recording must be removed for its age; "" = it may stay."""
         age_s = time.time() - recording.written_s
-        if self._room.max_age_s is not None and age_s > self._room.max_age_s:
-            return f"it is {age_s / _DAY_S:.1f} days old"
-        return ""
+        days = self._wanted.max_age_days
+        old = days is not None and age_s > days * _DAY_S
+        return f"it is {age_s / _DAY_S:.1f} days old" if old else ""
 
     def _too_much(self, total_bytes: int) -> str:
         """Why recordings must be removed for their size; "" = there is room for all."""
-        room = self._room
-        if room.max_bytes is not None and total_bytes > room.max_bytes:
+        size_gb = self._wanted.max_size_gb
+        if size_gb is not None and total_bytes > size_gb * 1e9:
             return f"recordings take {total_bytes / 1e9:.1f} GB"
         free = free_bytes(self._runs)
-        return f"{free / 1e9:.1f} GB are free" if free < room.min_free_bytes else ""
+        return f"{free / 1e9:.1f} GB are free" if free < self._wanted.min_free_gb * 1e9 else ""
 
 
 #: Frames of a usual cycle, and stored bytes per pixel: of a band, and of full frames.
@@ -264,13 +224,13 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
     usual = _FRAMES * pixels * (_OF_WHOLE if wanted.whole_frames else _OF_BAND)
     times = [s for path in files if (s := _cycle_s(path.parent)) is not None]
     used = sum(_status_of(path)[1] for name in _NAMES for path in runs.glob(f"*/{name}"))
-    room = DiskRoom.of(wanted)
-    on_disk = max(0.0, free_bytes(runs) + used - room.min_free_bytes)
+    limit_bytes = None if wanted.max_size_gb is None else wanted.max_size_gb * 1e9
+    on_disk = max(0.0, free_bytes(runs) + used - wanted.min_free_gb * 1e9)
     return RecordingRoom(
         sum(sizes) / len(sizes) if sizes else usual,
         statistics.median(times) if times else _CYCLE_S,
-        on_disk if room.max_bytes is None else min(on_disk, room.max_bytes),
-        room.max_bytes,
+        on_disk if limit_bytes is None else min(on_disk, limit_bytes),
+        limit_bytes,
     )
 
 
@@ -301,9 +261,3 @@ def _status_of(path: Path) -> tuple[float, int]:
     except FileNotFoundError:
         return 0.0, 0
     return status.st_mtime, status.st_size
-
-
-def _is_inserted(folder: Path) -> bool:
-    """Whether the outcome of a cycle's result is `inserted`."""
-    outcome: object = known_json(folder / "result.json").get("outcome")
-    return outcome == Outcome.INSERTED.value

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 
 from cell.records.recording import form
@@ -75,7 +76,7 @@ class Uploads:
         self.notes: list[str] = []
         self._open_store = open_store
         self._runs, self._line = runs, line
-        self._store: Store | None = None
+
         self._new: deque[Path] = deque()
         self._wake = threading.Event()
         self._over = threading.Event()
@@ -142,7 +143,7 @@ class Uploads:
                 self._wake.clear()
                 continue
             try:
-                bring(self._opened(), pending[0], self._line, self._turn)
+                bring(self._store, pending[0], self._line, self._turn)
             except _NotNowError:
                 return
             except (RecordingStoreError, OSError) as error:
@@ -164,10 +165,9 @@ class Uploads:
             "or `cell upload` does it"
         )
 
-    def _opened(self) -> Store:
-        if self._store is None:
-            self._store = self._open_store()
-        return self._store
+    @cached_property
+    def _store(self) -> Store:
+        return self._open_store()
 
     def _take_new(self, pending: deque[Path]) -> bool:
         """Queue recordings that are files by now; whether some are unfinished or torn."""

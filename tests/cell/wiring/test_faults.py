@@ -64,10 +64,10 @@ def test_every_fault_can_be_caused_and_stands_in_the_docs(cell: SimpleNamespace)
     said: list[str] = []
     faults = DeviceFaults(cell, said.append)
     page = DOCS.read_text(encoding="utf-8")
-    for name, kind in KINDS.items():
+    for name, (what, _) in KINDS.items():
         faults.give(RequestedFault(name))
-        assert said[-1] == f"{name}: {kind.what}"
-        assert f"| `{name}` | {kind.what} |" in page
+        assert said[-1] == f"{name}: {what}"
+        assert f"| `{name}` | {what} |" in page
     faults.repair()
     assert cell.camera.faults == StreamFaults() and cell.gripper.faults == RobotiqFaults()
     assert cell.controller.ops[-1] == ("clear", {})

@@ -12,9 +12,16 @@ from pathlib import Path
 import pytest
 
 from cell.records.recording import form, retention
-from cell.records.recording.retention import KEPT, DiskRoom, LastRemoved, Retention, recording_room
+from cell.records.recording.retention import KEPT, Retention, recording_room
 from cell.run.computer_check import check_room
 from cell.settings.records import RecordingSettings
+
+
+def limits(max_bytes=None, **others):
+    """Only these; none of the settings' own."""
+    size_gb = None if max_bytes is None else max_bytes / 1e9
+    none = {"max_size_gb": size_gb, "min_free_gb": 0.0, "last_removed_every": 0}
+    return RecordingSettings(**none | others)
 
 
 @pytest.fixture
@@ -35,29 +42,29 @@ def days(runs):
 
 
 def test_nothing_is_removed_within_the_limits(runs):
-    assert Retention(runs, DiskRoom(max_age_s=5 * 86_400.0, max_bytes=5000)).make_room() == ""
+    assert Retention(runs, limits(max_age_days=5.0, max_bytes=5000)).make_room() == ""
     assert days(runs) == [0, 1, 2, 3, 4]
 
 
 def test_the_oldest_go_first(runs):
-    assert Retention(runs, DiskRoom(max_bytes=2500)).make_room() == ""
+    assert Retention(runs, limits(max_bytes=2500)).make_room() == ""
     assert days(runs) == [3, 4]
     assert (runs / "cycle-0" / "result.json").exists()  # only frames go
 
 
 def test_old_ones_go(runs):
-    Retention(runs, DiskRoom(max_age_s=2.5 * 86_400.0)).make_room()
+    Retention(runs, limits(max_age_days=2.5)).make_room()
     assert days(runs) == [2, 3, 4]
 
 
 def test_what_is_marked_stays(runs):
     (runs / "cycle-0" / KEPT).touch()
-    Retention(runs, DiskRoom(max_bytes=2500)).make_room()
+    Retention(runs, limits(max_bytes=2500)).make_room()
     assert days(runs) == [0, 4]
 
 
 def test_what_was_recorded_since_counts(runs):
-    kept = Retention(runs, DiskRoom(max_bytes=5000))
+    kept = Retention(runs, limits(max_bytes=5000))
     kept.make_room()
     new = runs / "cycle-9" / form.FILE
     new.parent.mkdir()
@@ -72,18 +79,18 @@ def test_without_free_room_all_goes_and_it_says_so(runs, monkeypatch):
         f_bavail, f_frsize = 100, 4096
 
     monkeypatch.setattr(os, "statvfs", lambda path: Full)
-    said = Retention(runs, DiskRoom(min_free_bytes=1e9)).make_room()
+    said = Retention(runs, limits(min_free_gb=1.0)).make_room()
     assert "recording.min_free_gb" in said
     assert days(runs) == []
 
 
 def test_a_folder_that_is_not_there_yet(tmp_path):
-    assert Retention(tmp_path / "runs", DiskRoom(max_bytes=1.0)).make_room() == ""
+    assert Retention(tmp_path / "runs", limits(max_bytes=1.0)).make_room() == ""
 
 
 def test_one_that_is_finished_between_two_looks_counts(runs, monkeypatch):
     """Its recorder gives it its name after it was looked for, before its part is looked for."""
-    kept = Retention(runs, DiskRoom(max_bytes=5000))
+    kept = Retention(runs, limits(max_bytes=5000))
     kept.make_room()
     new = runs / "cycle-9" / form.FILE
     new.parent.mkdir()
@@ -107,7 +114,7 @@ def test_one_that_is_finished_between_two_looks_counts(runs, monkeypatch):
 
 def test_one_that_is_brought_to_a_store_meanwhile_is_left_out(runs, monkeypatch):
     """It was there when it was looked for."""
-    kept = Retention(runs, DiskRoom(max_bytes=5000))
+    kept = Retention(runs, limits(max_bytes=5000))
     kept.make_room()
     kept.add(runs / "cycle-9" / form.FILE)
     look = Path.exists
@@ -137,10 +144,9 @@ def test_what_somebody_will_ask_for_goes_last(tmp_path):
     """The first of each shift, what was not inserted, and every third."""
     outcomes = dict.fromkeys(range(1, 10), "inserted") | {2: "missed", 5: "failed"}
     cycles(tmp_path, outcomes, datetime.now() - timedelta(hours=20))
-    last = LastRemoved(every=3)
-    Retention(tmp_path, DiskRoom(max_bytes=6000), last=last).make_room()
+    Retention(tmp_path, limits(max_bytes=6000, last_removed_every=3)).make_room()
     assert numbers(tmp_path) == [2, 3, 5, 6, 8, 9]
-    Retention(tmp_path, DiskRoom(max_bytes=3000), last=last).make_room()
+    Retention(tmp_path, limits(max_bytes=3000, last_removed_every=3)).make_room()
     assert numbers(tmp_path) == [5, 6, 9]
 
 
@@ -148,7 +154,7 @@ def test_the_first_of_a_shift_goes_last(tmp_path):
     day = (datetime.now() - timedelta(days=2)).replace(hour=0, minute=0, second=0, microsecond=0)
     cycles(tmp_path, dict.fromkeys(range(1, 24), "inserted"), day)
     begins = tuple(time_of_day(hour, 30) for hour in (5, 13, 21))
-    kept = Retention(tmp_path, DiskRoom(max_bytes=5000), last=LastRemoved(shifts=begins))
+    kept = Retention(tmp_path, limits(max_bytes=5000), begins)
     kept.make_room()
     assert numbers(tmp_path) == [1, 6, 14, 22, 23]
 
@@ -156,12 +162,12 @@ def test_the_first_of_a_shift_goes_last(tmp_path):
 def test_whole_frames_go_before_any_recording(tmp_path):
     outcomes = dict.fromkeys(range(1, 6), "inserted") | {1: "missed", 2: "missed", 3: "failed"}
     cycles(tmp_path, outcomes, datetime.now() - timedelta(hours=20), whole=(1, 2, 3))
-    kept = Retention(tmp_path, DiskRoom(max_bytes=11_000))
+    kept = Retention(tmp_path, limits(max_bytes=11_000))
     kept.make_room()
     assert (numbers(tmp_path), numbers(tmp_path, form.WHOLE)) == ([1, 2, 3, 4, 5], [3])
     removed = list(tmp_path.glob(f"*/{form.REMOVED}"))
     assert removed == []  # the recordings are there still
-    Retention(tmp_path, DiskRoom(max_bytes=5000)).make_room()
+    Retention(tmp_path, limits(max_bytes=5000)).make_room()
     assert (numbers(tmp_path), numbers(tmp_path, form.WHOLE)) == ([1, 2, 3, 4, 5], [])
 
 
@@ -169,7 +175,7 @@ def test_whole_frames_that_are_marked_stay(tmp_path):
     cycles(tmp_path, {1: "missed"}, datetime.now() - timedelta(hours=20), whole=(1,))
     for folder in tmp_path.iterdir():
         (folder / KEPT).touch()
-    Retention(tmp_path, DiskRoom(max_bytes=1000)).make_room()
+    Retention(tmp_path, limits(max_bytes=1000)).make_room()
     assert numbers(tmp_path, form.WHOLE) == [1]
 
 

@@ -18,7 +18,7 @@ from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 from cell.files.input_error import InputError
 from cell.records.recording import form, uploads
 from cell.records.recording.reading import read_recording, verify
-from cell.records.recording.retention import KEPT, DiskRoom, Retention
+from cell.records.recording.retention import KEPT, Retention
 from cell.records.recording.store import (
     BLOCK_BYTES,
     RecordingStoreError,
@@ -156,11 +156,11 @@ def test_a_marked_recording_stays_here_too(tmp_path):
 def test_old_recordings_go_only_once_they_are_stored(tmp_path):
     first, second = (recording_of(tmp_path / "runs", n) for n in (1, 2))
     (tmp_path / "nas").mkdir()
-    room = DiskRoom(max_bytes=1000)
-    Retention(tmp_path / "runs", room, only_stored=True).make_room()
+    limits = RecordingSettings(max_size_gb=1e-6, min_free_gb=0.0, store=str(tmp_path / "nas"))
+    Retention(tmp_path / "runs", limits).make_room()
     assert first.exists() and second.exists()
     mark(first.parent, Store(str(tmp_path / "nas")).put(first, "first"))
-    Retention(tmp_path / "runs", room, only_stored=True).make_room()
+    Retention(tmp_path / "runs", limits).make_room()
     assert not first.exists() and second.exists()
 
 
