@@ -41,14 +41,12 @@ class FitOptions:
     """Options of a fit.
 
     solver           of the cable engine; its error should be well below the noise
-
     gripper_errors   uncertainty of the logged motion
     starts           uniform cables tried for a cold start
     """
 
     solver: Solver = Solver(segments=30)  # noqa: RUF009
     gripper_errors: GripperLogErrors = GripperLogErrors()  # noqa: RUF009
-
     starts: int = 32
 
 
