@@ -243,20 +243,23 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
 
 
-#: Last words of columns of detection confidence, and their thresholds.
-_THRESHOLD = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
-              "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+#: Last words of columns of detection confidence, and of those that are 1 where a point is visible;
+#: the thresholds below which it is not.
+_CONFIDENCE = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
+               "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+_VISIBILITY = dict.fromkeys(("v", "vis", "visibility"), 0.5)
 
 
-def confidence(column: CapturedColumn) -> tuple[str, float] | None:
-    """The point and the threshold of a column of detection confidence; None for other columns.
+def visibility(column: CapturedColumn) -> tuple[str, float, bool] | None:
+    """Point, threshold, and whether it is a flag, of a column of visibility; None = another one.
 
     source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
     """
-    words = _words(column.name)
-    if len(words) < 2 or words[-1] not in _THRESHOLD:
+    *words, last = _words(column.name) or [""]
+    if last not in _VISIBILITY and not (words and last in _CONFIDENCE):
         return None
-    return " ".join(w for w in words[:-1] if w not in _FILLER), _THRESHOLD[words[-1]]
+    group = " ".join(w for w in words if w not in _FILLER)
+    return group, (_CONFIDENCE | _VISIBILITY)[last], last in _VISIBILITY
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:

@@ -12,7 +12,6 @@ from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
 from cell.study.imports.column_names import (
     ColumnKind,
     Meaning,
-    confidence,
     meaning,
     with_axes_at_ends,
 )
@@ -200,33 +199,6 @@ def _are_synonyms(first: Meaning, second: Meaning) -> bool:
     groups = [" ".join(w for w in m.group.split() if w != "0") for m in (first, second)]
     same = (first.kind, first.axis, first.unit) == (second.kind, second.axis, second.unit)
     return same and groups[0] == groups[1] and bool(first.axis and groups[0])
-
-
-def without_unsure(capture: Capture) -> Capture:
-    """The file without positions whose detection confidence is below the threshold.
-
-    A point that would lose more than half of its rows is not changed.
-    """
-    values, notes = capture.values.copy(), list(capture.notes)
-    for column, confidences in zip(capture.columns, capture.values.T, strict=True):
-        if (limit := confidence(column)) is None:
-            continue
-        group, threshold = limit
-        coordinates = [
-            i
-            for i, c in enumerate(capture.columns)
-            if (m := meaning(c)).kind is ColumnKind.COORDINATE and m.group == group
-        ]
-        unsure = confidences < threshold
-        count = int(np.count_nonzero(unsure))
-        if not coordinates or not count or 2 * count > len(confidences):
-            continue
-        values[np.ix_(unsure, coordinates)] = np.nan
-        notes.append(
-            f"{capture.path}: {column.name!r} is below {threshold:g} in {count} rows: {group!r} is "
-            "taken as not seen there"
-        )
-    return replace(capture, values=values, notes=tuple(notes))
 
 
 def _accelerations(

@@ -50,10 +50,7 @@ def read_captures(read: ReadMapping) -> dict[str, Capture]:
     each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
     forms = {t.file: mapping.text for t, mapping in each}
     forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
-    captures = {
-        name: read_capture(read.file(name), None if text is None else text.form)
-        for name, text in forms.items()
-    }
+    captures = {name: read_capture(read.file(name), form) for name, form in forms.items()}
     for trial, _ in each:
         if trial.joined_files:
             others = [read_capture(read.file(name)) for name in trial.joined_files]

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cell.files.yaml_document import Key
 from cell.study.entries import Finite, NotNegative, Positive, SectionPart
-from cell.study.imports.capture import Capture, Decimal, TextForm
+from cell.study.imports.capture import TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 #: Of angles about x, y and z: a rotation vector, or the order of turns about a body's own axes.
@@ -23,24 +23,6 @@ Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 
 #: Alternative entries of the gripper's position; those of `angle` are separate.
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
-
-
-class TextSection(SectionPart):
-    """How tables are written as text."""
-
-    separator: Annotated[str, Field(min_length=1, max_length=1)]
-    decimal: Decimal
-
-    @classmethod
-    def of(cls, capture: Capture) -> TextSection | None:
-        """The form of a file; None = it is not a text."""
-        form = capture.form
-        return None if form is None else cls(separator=form.separator, decimal=form.decimal)
-
-    @property
-    def form(self) -> TextForm:
-        """The form for reading."""
-        return TextForm(self.separator, self.decimal)
 
 
 class TimeSection(SectionPart):
@@ -135,7 +117,7 @@ class GripperSection(SectionPart):
     turns: TurnsSection | None = None
     acceleration: AccelerationSection | None = None
     angle: AngleSection
-    text: TextSection | None = None
+    text: TextForm | None = None
     time: TimeSection | None = None
     metres_per_unit: Positive | None = None
     axes: AxesSection | None = None

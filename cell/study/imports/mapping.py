@@ -25,13 +25,12 @@ from cell.study.entries import (
     TrialName,
 )
 from cell.study.hand_drift import HandDriftSection, drift_complaint
-from cell.study.imports.capture import Capture
+from cell.study.imports.capture import Capture, TextForm
 from cell.study.imports.gripper_section import (
     AxesSection,
     Columns,
     GripperSection,
     Name,
-    TextSection,
     TimeSection,
     entries_to_fill_in,
     gripper_complaints,
@@ -107,8 +106,8 @@ class TrialEntry(SectionPart):
     file: Name
     joined_files: tuple[Name, ...] = ()
     hand_file: Name | None = None
-    text: TextSection | None = None
-    hand_text: TextSection | None = None
+    text: TextForm | None = None
+    hand_text: TextForm | None = None
     seconds_per_unit: Positive | None = None
     hand_seconds_per_unit: Positive | None = None
     only: dict[str, Finite | Name] = Field(default_factory=dict)
@@ -132,7 +131,7 @@ class Mapping(SectionPart):
     cable: CableSection
     gravity_m_per_s2: tuple[Finite, Finite] = (0.0, -9.81)
     noise_std_m: Positive | None = None
-    text: TextSection | None = None
+    text: TextForm | None = None
     time: TimeSection
     frames: Name | None = None
     metres_per_unit: Positive | None

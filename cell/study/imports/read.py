@@ -19,13 +19,12 @@ from cell.study.imports.containers import (
     is_text_of_arrays,
     read_container,
 )
-from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.documents import CORNERS, FEWEST_RECORDS, cells, is_xml, read_document
 from cell.study.imports.groups import split_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
-from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
+from cell.study.imports.repairs import repaired, without_codes, without_held, without_unseen
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
 from cell.study.imports.text_content import is_text, text_of
@@ -234,7 +233,7 @@ def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | 
 
 
 def _cleaned(capture: Capture) -> Capture:
-    cleaned = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
+    cleaned = without_unseen(one_row_per_time(without_codes(capture)))
     return with_quaternions(repaired(without_held(cleaned)))
 
 

@@ -32,7 +32,6 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
-    TextSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -157,7 +156,7 @@ def _proposed(
         format=FORMAT,
         name=stated.name,
         cable=_cable(stated, arcs),
-        text=TextSection.of(first.capture),
+        text=first.capture.form,
         time=time,
         metres_per_unit=scale,
         lost=chosen.lost,

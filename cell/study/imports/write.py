@@ -19,12 +19,11 @@ from cell.study.data import Study, Trial
 from cell.study.entries import CableSection
 from cell.study.folder import read_study, thinned, write_study
 from cell.study.hand_drift import HandDriftSection
-from cell.study.imports.capture import Finding, Sure
+from cell.study.imports.capture import Finding, Sure, TextForm
 from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
-    TextSection,
     TimeSection,
 )
 from cell.study.imports.mapping import (
@@ -209,7 +208,7 @@ def _mapping_of(study: Study, names: Sequence[str]) -> Mapping:
         cable=CableSection(**study.cable.to_dict()),
         gravity_m_per_s2=study.gravity_m_per_s2,
         noise_std_m=study.noise_std_m,
-        text=TextSection(separator=",", decimal="."),
+        text=TextForm(separator=",", decimal="."),
         time=TimeSection(column="time_s", seconds_per_unit=1.0),
         metres_per_unit=1.0,
         axes=AxesSection(right=[1.0, 0.0], up=[0.0, 1.0]),
