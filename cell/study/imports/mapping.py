@@ -24,7 +24,7 @@ from cell.study.entries import (
     SectionPart,
     TrialName,
 )
-from cell.study.hand_drift import HandDriftSection, drift_complaint
+from cell.study.hand_drift import HandDrift, drift_complaint
 from cell.study.imports.capture import Capture, TextForm
 from cell.study.imports.gripper_section import (
     AxesSection,
@@ -114,7 +114,7 @@ class TrialEntry(SectionPart):
     clock_offset_s: Finite = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None
-    hand_drift: HandDriftSection | None = None
+    hand_drift: HandDrift | None = None
     role: Literal["fit", "validate"] = "fit"
     start: Start = "equilibrium"
     release_s: Finite | None = None
