@@ -233,7 +233,7 @@ def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> 
             best = merged
         else:
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
-            best = replace(best, notes=(*best.notes, note))
+            best = best.noted(note)
     return best
 
 
@@ -297,8 +297,7 @@ def _raw_table(
     if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
-    notes = [*capture.notes, *row_notes, *comment_notes, *notes]
-    return replace(capture, form=form, notes=tuple(notes)), labels
+    return replace(capture, form=form).noted(*row_notes, *comment_notes, *notes), labels
 
 
 def captured(

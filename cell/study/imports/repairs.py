@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cell.files.words import first_of
-from cell.study.imports.capture import Capture, CapturedColumn
+from cell.study.imports.capture import Capture
 from cell.study.imports.column_names import ColumnKind, meaning, visibility
 from cell.study.imports.contents import contents
 from cell.study.imports.tracks import joined_tracks
@@ -17,11 +17,6 @@ from cell.study.imports.units import METRES
 
 #: Smallest code that programs write for missing values; no measurement is so large.
 _MIN_CODE = 1e20
-
-
-def repaired(capture: Capture) -> Capture:
-    """The file after the repairs of units and tracks, each of which adds a note."""
-    return with_whole_tracks(with_one_unit(in_millimetres(capture)))
 
 
 def without_codes(capture: Capture) -> Capture:
@@ -61,12 +56,9 @@ def with_one_unit(capture: Capture) -> Capture:
 def _scaled(capture: Capture, factors: dict[str, tuple[float, str]]) -> Capture:
     """Multiply columns by factors, and set their new units."""
     each = [factors.get(c.name, (1.0, c.unit)) for c in capture.columns]
-    columns = tuple(
-        CapturedColumn(c.name, unit) for c, (_, unit) in zip(capture.columns, each, strict=True)
-    )
-    return replace(
-        capture, columns=columns, values=capture.values * np.array([factor for factor, _ in each])
-    )
+    factor_of, units = zip(*each, strict=True)
+    columns = tuple(replace(c, unit=u) for c, u in zip(capture.columns, units, strict=True))
+    return replace(capture, columns=columns, values=capture.values * np.array(factor_of))
 
 
 #: Maximum rows between the end of a track and the start of its continuation.
@@ -91,7 +83,7 @@ def with_whole_tracks(capture: Capture) -> Capture:
             continuation = capture.at(second.columns)
             rows = np.flatnonzero(np.isfinite(continuation).all(axis=1))
             places = [capture.names.index(c) for c in first.columns]
-            values[np.ix_(rows, places)] = continuation[rows]
+            values[np.ix_(rows, np.array(places))] = continuation[rows]
             removed |= set(second.columns)
             sentence = f"{second.name!r} begins where {first.name!r} ends: it is one marker"
             notes.append(f"{capture.path}: {sentence}")
@@ -122,7 +114,7 @@ def without_unseen(capture: Capture) -> Capture:
         plausible = set(np.unique(shown)) == {0.0, 1.0} if is_flag else 2 * count <= len(shown)
         if not count or not places or not plausible:
             continue
-        values[np.ix_(unseen, places)] = np.nan
+        values[np.ix_(unseen, np.array(places))] = np.nan
         notes.append(
             f"{capture.path}: {column.name!r} is below {threshold:g} in {count} rows: "
             f"{kinds[places[0]].group!r} is taken as not seen there"

@@ -43,8 +43,8 @@ def read_sheet(path: Path, title: str) -> Capture:
     best = title or _with_most_points(tables)
     skipped = ", ".join(repr(name) for name in tables if name != best)
     note = f"{path}: sheet {best!r} is read, not {skipped}"
-    notes = (*tables[best].notes, note) if skipped and not title else tables[best].notes
-    return replace(tables[best], path=with_part(path, title), notes=notes)
+    table = tables[best].noted(note) if skipped and not title else tables[best]
+    return replace(table, path=with_part(path, title))
 
 
 def _with_most_points(tables: Mapping[str, Capture]) -> str:

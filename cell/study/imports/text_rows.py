@@ -42,7 +42,8 @@ class Row:
 
     def is_data(self, decimal: Decimal) -> bool:
         """Whether it holds a number, and at least as many numbers as words."""
-        return is_data(self.cells, decimal)
+        filled = [c for c in self.cells if c.strip().lower() not in NOT_SEEN]
+        return bool(filled) and 2 * sum(_is_value(c, decimal) for c in filled) >= len(filled)
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -80,12 +81,6 @@ def _between_blanks(lines: Sequence[str]) -> list[Row]:
     return [Row(i, tuple(cells)) for i, cells in enumerate(rows, 1)]
 
 
-def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
-    """As `Row.is_data`, of some cells."""
-    filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
-    return bool(filled) and 2 * sum(_is_value(c, decimal) for c in filled) >= len(filled)
-
-
 def _is_value(cell: str, decimal: Decimal) -> bool:
     if is_number(cell, decimal):
         return True
@@ -118,7 +113,7 @@ def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row
     named = wide and all(
         row.cells[0].strip() and not is_number(row.cells[0], decimal) for row in filled
     )
-    if not named or not all(is_data(row.cells[1:], decimal) for row in filled):
+    if not named or not all(Row(row.line, row.cells[1:]).is_data(decimal) for row in filled):
         return list(rows), []
     note = f"{path}: its lines are series, each behind its name; they are read as columns"
     columns = zip(*(row.cells for row in filled), strict=True)

@@ -71,8 +71,8 @@ def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
         f"; those that go on under another number are joined: {first_of(pairs, 8)}" if pairs else ""
     )
     note += f"; {dropped} rows of no track, or of one that is short or still, are left out"
-    result = replace(capture, values=values[rows], lines=capture.lines[rows])
-    return replace(result, notes=(*capture.notes, note)), np.flatnonzero(rows).tolist()
+    result = replace(capture, values=values[rows], lines=capture.lines[rows]).noted(note)
+    return result, np.flatnonzero(rows).tolist()
 
 
 def joined_tracks(
@@ -84,7 +84,7 @@ def joined_tracks(
     most_lost  maximum frames between the end of a track and its continuation
     families   of the tracks: only those of one family continue each other; None = all are of one
     """
-    visible = np.isfinite(places).all(axis=2)
+    visible = np.asarray(np.isfinite(places).all(axis=2))
     begins, ends = visible.argmax(axis=1), visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
     heads = list(range(len(places)))
     continued: set[int] = set()

@@ -49,7 +49,7 @@ from cell.study.imports.plane_chain import (
 )
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.shape import arc_lengths, rest_rows
-from cell.study.imports.stated import Stated, with_files
+from cell.study.imports.stated import OF_CABLE, Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
 from cell.study.imports.trials import Files, origin_by_clamp, stroke_gain, trial_entries
 from cell.study.imports.units import METRES
@@ -155,7 +155,10 @@ def _proposed(
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
-        cable=_cable(stated, arcs),
+        cable=CableSection(
+            **{name: getattr(stated, name) for name in OF_CABLE}
+            | {"free_length_m": stated.free_length_m or arcs[-1]}
+        ),
         text=first.capture.form,
         time=time,
         metres_per_unit=scale,
@@ -288,16 +291,6 @@ def _arc_stds(
         "bend between markers leave open; give your own where you measure",
     )
     return [float(s) for s in stds]
-
-
-def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
-    return CableSection(
-        free_length_m=stated.free_length_m or arcs[-1],
-        line_density_kg_per_m=stated.line_density_kg_per_m,
-        width_m=stated.width_m,
-        thickness_m=stated.thickness_m,
-        diameter_m=stated.diameter_m,
-    )
 
 
 def _gripper(
