@@ -184,7 +184,7 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
         stems = _stems(unnamed, form)
         for stem, names in stems.items():
             words = _words(stem)
-            if frozenset(names) == frozenset("0123") and _is_quaternion(words):
+            if set(names) == set("0123") and (_QUATERNION | {"orientation"}) & set(words):
                 group = " ".join(w for w in words if w not in _FILLER | _ANGLE | _QUATERNION)
                 for place, name in names.items():
                     axis = "xyzw"[int(place)]
@@ -213,10 +213,6 @@ def _stems(
         if match := form.fullmatch(split_unit(name)[0]):
             stems.setdefault(match[1], {})[match[2].lower()] = name
     return stems
-
-
-def _is_quaternion(words: list[str]) -> bool:
-    return bool(_QUATERNION.intersection(words) or "orientation" in words)
 
 
 def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:

@@ -124,15 +124,9 @@ def _capture_of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture
     if group is None:
         available = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
         raise InputError.at(path, f"has no part {part!r} with times; it has {available}")
-    arrays = within(tree, group)
-    of_key = {key: unit for key in arrays for unit in units_at(units, group, key)}
+    arrays, above = within(tree, group), group[:-1]  # a gripper's group keeps its own name
+    of_key = {key: units.get((*group, *key), units.get((*above, *key), "")) for key in arrays}
     return capture_of(path, arrays, of_key)
-
-
-def units_at(units: Units, group: tuple[str, ...], key: tuple[str, ...]) -> list[str]:
-    """The unit of an array of a group by its name within it; empty = none is stated."""
-    names = ((*group, *key), (*group[:-1], *key))  # a gripper's group keeps its own name
-    return [units[name] for name in names if name in units][:1]
 
 
 def _read_checked(path: Path, read: Callable[[Path], _Read]) -> _Read:
@@ -273,7 +267,6 @@ def _item_label(item: Mapping[str, Any], number: int) -> str:
 
 
 def _check_one_trial(path: Path, tree: Tree) -> None:
-    """Raise InputError if several groups have their own times."""
     groups = [WITHIN.join(group) or "its top" for group in time_groups(tree)]
     if len(groups) > 1:
         raise InputError.at(

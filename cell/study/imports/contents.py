@@ -96,7 +96,8 @@ def contents(capture: Capture) -> Contents:
     meanings = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
     if all(m.kind is not ColumnKind.TIME for _, m in meanings):
         meanings = [_since_1970(capture, n, m) for n, m in meanings]
-    times = [(n, m) for n, m in meanings if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
+    times = [(n, m) for n, m in meanings
+             if m.kind is ColumnKind.TIME and np.isfinite(capture.column(n)).any()]  # fmt: skip
     frames = [(n, m) for n, m in meanings if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
     rising.sort(key=lambda column: "header" not in column[1].group.split())  # stamped by its sensor
@@ -220,10 +221,6 @@ def _counts_rows(capture: Capture, name: str, by_name: Meaning) -> bool:
         return False
     is_integer = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
     return is_integer and bool(np.median(steps) == 1.0 and steps.mean() < _MEAN_STEP)
-
-
-def _holds_any(capture: Capture, name: str) -> bool:
-    return bool(np.isfinite(capture.column(name)).any())
 
 
 def _rises(capture: Capture, name: str) -> bool:

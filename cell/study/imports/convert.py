@@ -193,7 +193,6 @@ class _ImportedTrial:
 def _check_trial(
     measured: _ImportedTrial, cable: Cable, arcs: FloatArray, gravity: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
-    """Problems for which a trial is refused, and notes on it."""
     trial = measured.trial
     evidence = TrialEvidence(trial, cable, arcs, gravity, measured.across_m)
     problems = [measured.problem(*each) for each in failures(IMPORT_REFUSALS, evidence)]
@@ -426,7 +425,6 @@ def _motion(
 
 
 def _same_unit(long_m: FloatArray, cable_m: FloatArray) -> bool:
-    """Whether the total lengths of markers' and cable's pieces are in the same unit."""
     totals = float(long_m.sum()), float(cable_m.sum())
     return min(totals) <= 0.0 or 1.0 / WRONG_UNIT < totals[0] / totals[1] < WRONG_UNIT
 

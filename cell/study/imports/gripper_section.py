@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -140,25 +140,27 @@ class GripperSection(SectionPart):
         return self.model_copy(update={**dict.fromkeys(WAYS), **still})
 
 
+#: Entries of sections that no file tells, and how to determine them.
+_TO_FILL_IN = {
+    ("turns", "radians_per_unit"):
+        "give 2π / counts of a turn, 0.0174533 for degrees; negative if up is positive",
+    ("turns", "axle_m"): "measure where the axle is, as [x, y]",
+    ("turns", "radius_m"):
+        "measure from the axle to the gripping point; 0 if the clamp is on the axle",
+    ("acceleration", "m_per_s2_per_unit"):
+        "give 9.81 for g, 1 for m/s², negative where the sensor shows g − a",
+    ("acceleration", "starts_at_m"):
+        "measure where the gripping point is before it moves, as [x, y]",
+}  # fmt: skip
+
+
 def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
     """Entries that the user must fill in, and how to determine them."""
-    entries: list[tuple[Key, Any, str]] = []
-    if (turns := hand.turns) is not None:
-        entries += [
-            (("turns", "radians_per_unit"), turns.radians_per_unit,
-             "give 2π / counts of a turn, 0.0174533 for degrees; negative if up is positive"),
-            (("turns", "axle_m"), turns.axle_m, "measure where the axle is, as [x, y]"),
-            (("turns", "radius_m"), turns.radius_m,
-             "measure from the axle to the gripping point; 0 if the clamp is on the axle"),
-        ]  # fmt: skip
-    if (sensor := hand.acceleration) is not None:
-        entries += [
-            (("acceleration", "m_per_s2_per_unit"), sensor.m_per_s2_per_unit,
-             "give 9.81 for g, 1 for m/s², negative where the sensor shows g − a"),
-            (("acceleration", "starts_at_m"), sensor.starts_at_m,
-             "measure where the gripping point is before it moves, as [x, y]"),
-        ]  # fmt: skip
-    return [(("hand", *key), remedy) for key, value, remedy in entries if value is None]
+    return [
+        (("hand", part, entry), remedy)
+        for (part, entry), remedy in _TO_FILL_IN.items()
+        if (section := getattr(hand, part)) is not None and getattr(section, entry) is None
+    ]
 
 
 def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:

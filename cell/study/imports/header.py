@@ -253,7 +253,6 @@ def _keys_and_values(rows: Lines) -> Iterator[tuple[str, str]]:
 
 
 def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
-    """Rate and unit of length that remarks state."""
     rate_hz, unit = None, ""
     for key, value in _keys_and_values(rows):
         stated = number(value.split()[0], ".") or 0.0

@@ -62,7 +62,8 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     repeats = len(np.unique(t)) < len(t)
     if not repeats:
         return _without_text(capture, list(labels))
-    texts = {n: w for n, w in labels.items() if _is_key(w)}
+    texts = {n: w for n, w in labels.items()
+             if 2 <= len(set(w)) <= min(_MAX_LABELS, len(w) - 1)}  # fmt: skip
     if not texts:
         capture, rows = along_cable(capture, time)
         labels = {n: [w[i] for i in rows] for n, w in labels.items()}
@@ -109,10 +110,6 @@ def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], colum
         same = np.full(len(part.values), value)
         parts.append(with_first(part, capture.columns[place], same))
     return stacked_rows(parts)
-
-
-def _is_key(words: Sequence[str]) -> bool:
-    return 2 <= len(set(words)) <= min(_MAX_LABELS, len(words) - 1)
 
 
 def names_points(name: str) -> bool:
@@ -301,17 +298,29 @@ def of_frames(parts: Sequence[Labelled], numbers: Sequence[float]) -> Capture:
     return pivoted(joint, labels)
 
 
-def point_by_point(tables: Sequence[Capture]) -> Capture | None:
-    """Join tables of one point each, with equal column names and times, side by side.
+def _distinct_titles(
+    tables: Sequence[Capture], titles: Mapping[int, str], default: str
+) -> list[str]:
+    """Titles of tables by the line number of their first row; numbers if they are not distinct."""
+    words = [titles.get(int(t.lines[0]), "") for t in tables]
+    distinct = all(words) and len(set(words)) == len(words)
+    return words if distinct else [f"{default}{n}" for n in range(1, len(tables) + 1)]
 
-    None = the tables differ.  The first table's point is named `marker 1`, and so on.
+
+def point_by_point(tables: Sequence[Capture], titles: Mapping[int, str]) -> Capture | None:
+    """Join tables of one point each, with equal column names and times; None = they differ.
+
+    The points are named as the tables; without different titles `marker 1`, and so on.
+
+    titles  titles of the tables, by the line number of their first row
     """
     first = tables[0]
     if len(tables) < 2 or len(contents(first).points) != 1 or time_column(first) is None:
         return None
     if any(t.names != first.names or not same_frames(first, t) for t in tables):
         return None
-    labels = [f"marker {n}" for n, table in enumerate(tables, 1) for _ in table.values]
+    names = zip(_distinct_titles(tables, titles, "marker "), tables, strict=True)
+    labels = [name for name, table in names for _ in table.values]
     return pivoted(stacked_rows(tables), {"point": labels})
 
 
@@ -364,9 +373,7 @@ def trials_of_blocks(read: Sequence[Capture], titles: Mapping[int, str]) -> Capt
     starts = [float(t.column(first_contents.time)[0]) for t in read]
     if any(t.column(first_contents.time)[-1] < max(starts) for t in read):
         return None
-    words = [titles.get(int(t.lines[0]), "") for t in read]
-    if len(set(words)) < len(words):
-        words = [str(number) for number in range(1, len(read) + 1)]
+    words = _distinct_titles(read, titles, "")
     parts = [with_words(t, "trial", [w] * len(t.values)) for t, w in zip(read, words, strict=True)]
     trials = stacked_rows(parts)
     note = f"{first.path}: {len(read)} tables with the same columns are trials of their own"

@@ -266,7 +266,6 @@ def _axes(mapping: Mapping) -> list[Complaint]:
 
 
 def _nearest_axis(vector: np.ndarray) -> list[float]:
-    """The axis that a vector is nearest to."""
     nearest = np.zeros(len(vector))
     largest = int(np.argmax(np.abs(vector)))
     nearest[largest] = np.sign(vector[largest]) or 1.0

@@ -54,7 +54,6 @@ def with_one_unit(capture: Capture) -> Capture:
 
 
 def _scaled(capture: Capture, factors: dict[str, tuple[float, str]]) -> Capture:
-    """Multiply columns by factors, and set their new units."""
     each = [factors.get(c.name, (1.0, c.unit)) for c in capture.columns]
     factor_of, units = zip(*each, strict=True)
     columns = tuple(replace(c, unit=u) for c, u in zip(capture.columns, units, strict=True))

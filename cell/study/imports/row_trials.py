@@ -82,7 +82,6 @@ def label_text(label: TrialLabel) -> str:
 
 
 def _matches(capture: Capture, name: str, label: TrialLabel) -> NDArray[np.bool_]:
-    """(rows,) whether a column has a value."""
     words = [*capture.words(name), label] if capture.words(name) else []
     value = words.index(label) if words else label
     return np.asarray(capture.column(name) == value)

@@ -261,7 +261,6 @@ def _markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
 
 
 def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
-    """The gripper's path, where it is known."""
     section, source = mapping.hand, files.gripper or files.capture
     assert section.columns is not None  # a proposal has no fixed gripper
     t_s, _ = _times_s(files, mapping)

@@ -185,7 +185,6 @@ def _proposed(
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
-    """Add a finding on files that are joined to a trial's first."""
     if files.joined_files:
         joined = first_of([Path(name).name for name in files.joined_files], 8)
         sentence = f"{Path(files.file).name} and {joined} are of one recording: "
@@ -193,7 +192,6 @@ def _add_joined(files: Files, findings: ImportFindings) -> None:
 
 
 def _trial(files: Files) -> TrialEntry:
-    """Entry of a trial, with its files alone."""
     return TrialEntry(
         name=files.name,
         file=files.file,
@@ -409,7 +407,6 @@ def _moved(
 
 
 def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
-    """Add findings on the cable's parameters that no file of positions shows."""
     cable = mapping.cable
     if cable.line_density_kg_per_m is None:
         sentence = "give cable.line_density_kg_per_m, or --line-density: the mass of a piece "
@@ -426,7 +423,6 @@ def _add_unused(
     capture: Capture,
     findings: ImportFindings,
 ) -> None:
-    """Add a finding on columns that are not used."""
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
     used = {n for p in points if p is not None for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)

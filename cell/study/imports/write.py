@@ -15,7 +15,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.atomic import write_all
 from cell.files.input_error import InputError
 from cell.files.yaml_document import yaml_text
-from cell.study.data import Study, Trial
+from cell.study.data import Study, Trial, Wrench
 from cell.study.entries import CableSection
 from cell.study.folder import header_of, read_study, tables_of, thinned, write_study
 from cell.study.imports.capture import Finding, Sure, TextForm
@@ -111,12 +111,6 @@ def write_imported(study: Study, folder: Path) -> Study:
     return read_study(folder)
 
 
-def _wrench_series(trial: Trial) -> tuple[FloatArray, FloatArray]:
-    """Times and values of a trial's wrench; none = no rows."""
-    wrench = trial.wrench
-    return (np.empty(0), np.empty((0, 3))) if wrench is None else (wrench.t_s, wrench.values)
-
-
 def write_wide(study: Study, folder: Path) -> list[Path]:
     """Write every trial as one wide table, and a mapping that imports them to the same study.
 
@@ -152,11 +146,11 @@ def _columns(names: Sequence[str], mapping: Mapping) -> dict[str, int]:
 def _rows(trial: Trial, columns: dict[str, int]) -> FloatArray:
     """(times, columns) values of gripper, markers, wrench, and whether a row is a frame."""
     grip, markers = trial.grip, trial.markers
-    wrench_s, wrench = _wrench_series(trial)
+    wrench = trial.wrench or Wrench(np.empty(0), np.empty((0, 3)))
     parts = (
         (grip.t_s, np.column_stack([grip.x_m, grip.y_m, grip.angle_rad])),
         (markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)),
-        (wrench_s, wrench),
+        (wrench.t_s, wrench.values),
     )
     times = np.unique(np.concatenate([t_s for t_s, _ in parts]))
     rows = [times[:, None]]
