@@ -191,12 +191,9 @@ def _padded(cells: Sequence[str], width: int) -> list[str] | None:
     filled = list(cells)
     while filled and not filled[-1].strip() and len(filled) > width:
         filled.pop()
-    if len(filled) > width or (len(filled) < width and len(filled) < 3):
-        return None
     # A line of groups may leave out what would be empty at its end: two columns of its last marker.
-    if width - len(filled) > 2:
-        return None
-    return filled + [""] * (width - len(filled))
+    missing = width - len(filled)
+    return filled + [""] * missing if missing == 0 or (0 < missing <= 2 < len(filled)) else None
 
 
 def _forward_fill(words: Sequence[str]) -> list[str]:
@@ -273,13 +270,11 @@ def _stated_order(rows: Lines) -> str:
 
 def _rate_below_title(rows: Lines) -> float | None:
     """Rate of a section of Vicon's: a number alone in its line, below a title alone in its own."""
-    first, second = (
-        [c for c in cells if c.strip()] for _, cells in [*rows[:2], *[(0, ())] * 2][:2]
-    )
-    if len(first) != 1 or len(second) != 1 or number(first[0], ".") is not None:
+    alone = [[c for c in cells if c.strip()] for _, cells in rows[:2]]
+    if [len(cells) for cells in alone] != [1, 1] or number(alone[0][0], ".") is not None:
         return None
-    rate_hz = number(second[0], ".")
-    return rate_hz if rate_hz is not None and rate_hz > 0.0 else None
+    rate_hz = number(alone[1][0], ".") or 0.0
+    return rate_hz if rate_hz > 0.0 else None
 
 
 #: Ends a header of LabVIEW's; the first is of the file, the second of a table.

@@ -87,7 +87,7 @@ def _of_motions(
     labels = [files[group[0]].stem for group in groups]
     names = unique_names([f.name for f in folders] if by_folder else labels)
     trials = []
-    hand_of = hands or [None] * len(groups)
+    hand_of: Sequence[Path | None] = hands or [None] * len(groups)
     for name, group, capture, hand in zip(names, groups, merged, hand_of, strict=True):
         first, *others = (named(files[i]) for i in group)
         files_of = Files(name, first, capture, joined_files=tuple(others))
