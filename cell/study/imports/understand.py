@@ -155,10 +155,7 @@ def _proposed(
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
-        cable=CableSection(
-            **{name: getattr(stated, name) for name in OF_CABLE}
-            | {"free_length_m": stated.free_length_m or arcs[-1]}
-        ),
+        cable=_cable(stated, arcs),
         text=first.capture.form,
         time=time,
         metres_per_unit=scale,
@@ -289,6 +286,11 @@ def _arc_stds(
         "bend between markers leave open; give your own where you measure",
     )
     return [float(s) for s in stds]
+
+
+def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
+    known = {name: getattr(stated, name) for name in OF_CABLE}
+    return CableSection(**known | {"free_length_m": stated.free_length_m or arcs[-1]})
 
 
 def _gripper(
