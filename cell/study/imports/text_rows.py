@@ -43,7 +43,8 @@ class Row:
     def is_data(self, decimal: Decimal) -> bool:
         """Whether it holds a number, and at least as many numbers as words."""
         filled = [c for c in self.cells if c.strip().lower() not in NOT_SEEN]
-        return bool(filled) and 2 * sum(_is_value(c, decimal) for c in filled) >= len(filled)
+        values = [c for c in filled if is_number(c, decimal) or unit_behind(c, decimal)]
+        return bool(filled) and 2 * len(values) >= len(filled)
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -81,11 +82,10 @@ def _between_blanks(lines: Sequence[str]) -> list[Row]:
     return [Row(i, tuple(cells)) for i, cells in enumerate(rows, 1)]
 
 
-def _is_value(cell: str, decimal: Decimal) -> bool:
-    if is_number(cell, decimal):
-        return True
+def unit_behind(cell: str, decimal: Decimal) -> str:
+    """The unit after a number; empty = there is none."""
     match = WITH_UNIT.fullmatch(cell.strip())
-    return match is not None and is_number(match[1], decimal) and bool(unit_of(match[2]))
+    return unit_of(match[2]) if match and is_number(match[1], decimal) else ""
 
 
 def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
