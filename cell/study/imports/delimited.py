@@ -238,12 +238,17 @@ def _with_names_of_first(
         return tables
     above = [[bare(row) for row in rows[:first] if not row.blank]
              for rows, first in zip(tables, firsts, strict=True)]  # fmt: skip
-    widths = {len(rows[first].cells) for rows, first in zip(tables, firsts, strict=True)}
-    of_frames_only = all(lines and stated_time(lines[-1]) for lines in above)
-    of_points = len(widths) == 1 and any(len(cells) in widths for cells in above[0][:-1])
-    if of_frames_only or (of_points and all(len(lines) == 1 for lines in above[1:])):
+    if all(lines and stated_time(lines[-1]) for lines in above):
         return [tables[0], *([*tables[0][: firsts[0]], *rows] for rows in tables[1:])]
-    return tables
+    below = [rows[first:] for rows, first in zip(tables, firsts, strict=True)]
+    widths = {len(rows[0].cells) for rows in below}
+    names = next((cells for cells in above[0][:-1] if widths == {len(cells)}), None)
+    if names is None or len(tables) < 2 or any(len(lines) != 1 for lines in above[1:]):
+        return tables
+    return [
+        [Row(rows[0].line - 2, (" ".join(lines[-1]),)), Row(rows[0].line - 1, tuple(names)), *rows]
+        for lines, rows in zip(above, below, strict=True)
+    ]
 
 
 def _raw_table(
