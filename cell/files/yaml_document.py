@@ -278,7 +278,7 @@ def _problem(document: Document, details: ErrorDetails, schema: dict[str, Any]) 
         if (*key, part) in document.places or (part == details["loc"][-1] and kind == "missing"):
             key = (*key, part)
     match kind:
-        case "extra_forbidden":
+        case "extra_forbidden" | "unexpected_keyword_argument":
             known = _known_keys(schema, details["loc"])
             name = str(details["loc"][-1])
             sections = _sections_with(schema, name)

@@ -19,13 +19,6 @@ from cell.study.series import first_lasting, forward_filled
 _FIRST_MODE, _SUPPOSED = 12.362, 0.4
 
 
-def swing_hz(study: Study) -> float | None:
-    """Median over trials of the tip's strongest frequency; None if no trial shows one."""
-    spectra = [trial_facts(t, study.arc_length_m).spectrum for t in study.trials]
-    strongest_hz = [s.peaks_hz[0] for s in spectra if s is not None and s.peaks_hz]
-    return float(np.median(strongest_hz)) if strongest_hz else None
-
-
 def with_pull(study: Study) -> Study:
     """The study with the acceleration that sets the scale of its cable's stiffness.
 
@@ -42,13 +35,15 @@ def pull_m_per_s2(study: Study) -> float | None:
     """
     if float(np.hypot(*study.gravity_m_per_s2)) >= WEAK_M_PER_S2:
         return None
-    observed_hz = swing_hz(study)
-    if observed_hz is None:
+    spectra = [trial_facts(t, study.arc_length_m).spectrum for t in study.trials]
+    strongest_hz = [s.peaks_hz[0] for s in spectra if s is not None and s.peaks_hz]
+    if not strongest_hz:
         raise ValueError(
             "gravity in the plane is weak, and no trial shows a swing after the gripper has "
             "stopped: nothing tells the rigidity; record three swings after the motion"
         )
-    return (2.0 * np.pi * observed_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
+    swing_hz = float(np.median(strongest_hz))
+    return (2.0 * np.pi * swing_hz) ** 2 * study.cable.free_length_m / (_SUPPOSED * _FIRST_MODE)
 
 
 #: Longest permitted gap of a gripper's log while it moves, in usual steps and in seconds.

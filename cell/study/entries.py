@@ -88,7 +88,6 @@ def datasheet_of(cable: Mapping[str, Any]) -> Cable | None:
 
 
 def _connector_of(entry: Mapping[str, float] | None) -> Connector | None:
-    """The connector; its default inertia is that of a rod."""
     if entry is None:
         return None
     rod = Connector.rod(entry["mass_kg"], entry["length_m"])

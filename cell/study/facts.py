@@ -108,6 +108,7 @@ def trial_facts(
     rest = int(np.searchsorted(t_s, until_s))
     rest = 0 if trial.start == "moving" else rest
     tip, still_noise_m = _tip(xy_m, arc_length_m), noise_m(xy_m[:rest])
+    shown, measured = np.isfinite(xy_m), np.isfinite(xy_m).any(axis=0)
     # the cable swings without the fingers that held it
     swings_s = max(moves[1] if moves else -np.inf, -np.inf if let_go_s is None else let_go_s)
     return TrialFacts(
@@ -126,7 +127,7 @@ def trial_facts(
         still_noise_m,
         tip,
         span_m(xy_m[:, tip]),
-        _detected_share(xy_m),
+        float(shown[:, measured].mean()) if measured.any() else 0.0,
         swing_spectrum(t_s, xy_m[:, tip], swings_s, still_noise_m),
         sensors_of(trial),
         swing_scale(trial, rest, tip, float(arc_length_m[tip]), gravity_m_per_s2),
@@ -215,18 +216,12 @@ def _peaks(frequency: FloatArray, amplitude: FloatArray, lowest_hz: float) -> tu
 
 
 def _moves_s(trial: Trial) -> tuple[float, float] | None:
-    """When the gripper begins to move and when it has stopped."""
     grip = trial.grip
     begins = moves_from_s(grip, ROUGHLY_STILL)
     if not np.isfinite(begins):
         return None
     last = int(np.flatnonzero(away_from(grip, slice(-10, None), ROUGHLY_STILL))[-1])
     return begins, float(grip.t_s[min(last + 1, len(grip.t_s) - 1)])
-
-
-def _detected_share(xy_m: FloatArray) -> float:
-    measured = np.isfinite(xy_m).any(axis=0)
-    return float(np.isfinite(xy_m[:, measured]).mean()) if measured.any() else 0.0
 
 
 def _tip(xy_m: FloatArray, arc_length_m: FloatArray) -> int:

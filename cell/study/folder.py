@@ -37,7 +37,7 @@ from cell.study.entries import (
     datasheet_of,
     implausible_entries,
 )
-from cell.study.hand_drift import HandDriftSection, drift_complaint
+from cell.study.hand_drift import HandDrift, drift_complaint
 from cell.study.import_checks import log_begins, log_ends, log_gap
 from cell.study.table import MAX_BYTES, Table, check_times, read_table, table_text
 from cell.study.trial_checks import trial_problems
@@ -86,7 +86,7 @@ class _TrialSection(SectionPart):
     role: Literal["fit", "validate"]
     start: Start
     release_s: Finite | None = None
-    hand_drift: HandDriftSection | None = None
+    hand_drift: HandDrift | None = None
 
 
 class _WrittenTable(SectionPart):
@@ -228,25 +228,30 @@ def write_study(study: Study, folder: Path | str, *, recorded: bool = False) -> 
     folder = Path(folder)
     if not recorded:
         check_study(study)
-    tables: dict[Path, str] = {}
+    tables = tables_of(study)
+    header = header_of(study)
+    if recorded:
+        header["tables"] = {name: _table_entry(text) for name, text in tables.items()}
+    files = {folder / name: text for name, text in tables.items()}
+    write_all({**files, folder / "study.yaml": yaml_text(header)})
+
+
+def tables_of(study: Study) -> dict[str, str]:
+    """Text of each table of a study, by its name in the folder; it gives every number exactly."""
+    tables: dict[str, str] = {}
     for trial in study.trials:
         grip, markers = trial.grip, trial.markers
-        tables[folder / trial.name / "grip.csv"] = table_text(
+        tables[f"{trial.name}/grip.csv"] = table_text(
             GRIP_COLUMNS,
             np.column_stack([grip.t_s, grip.x_m, grip.y_m, grip.angle_rad]),
         )
-        tables[folder / trial.name / "markers.csv"] = table_text(
+        tables[f"{trial.name}/markers.csv"] = table_text(
             _marker_columns(len(study.arc_length_m)),
             np.column_stack([markers.t_s, markers.xy_m.reshape(len(markers.t_s), -1)]),
         )
         if trial.wrench is not None:
-            tables[folder / trial.name / WRENCH_FILE] = wrench_text(trial.wrench)
-    header = _header(study)
-    if recorded:
-        header["tables"] = {
-            path.relative_to(folder).as_posix(): _table_entry(text) for path, text in tables.items()
-        }
-    write_all({**tables, folder / "study.yaml": yaml_text(header)})
+            tables[f"{trial.name}/{WRENCH_FILE}"] = wrench_text(trial.wrench)
+    return tables
 
 
 def check_study(study: Study) -> None:
@@ -254,7 +259,7 @@ def check_study(study: Study) -> None:
 
     The messages are those of `read_study`.
     """
-    document = document_of(yaml_text(_header(study)), Path("study.yaml"))
+    document = document_of(yaml_text(header_of(study)), Path("study.yaml"))
     try:
         header = validate(document, _Study)
         cable = datasheet_of(header.cable.model_dump(exclude_none=True))
@@ -275,7 +280,7 @@ def check_study(study: Study) -> None:
             )
 
 
-def _header(study: Study) -> dict[str, object]:
+def header_of(study: Study) -> dict[str, object]:
     """Content of `study.yaml`."""
     header: dict[str, object] = {
         "format": FORMAT,
@@ -457,10 +462,8 @@ def _read_trial(
     markers = Markers(t_s, xy_m[:, order], source)
     _check_covers(log, markers)
     wrench = read_wrench(there, motion) if there.exists() else None
-    drift = None if trial.hand_drift is None else trial.hand_drift.drift()
-    return Trial(
-        trial.name, trial.role, trial.start, motion, markers, trial.release_s, drift, wrench
-    )
+    timing = trial.start, motion, markers, trial.release_s
+    return Trial(trial.name, trial.role, *timing, trial.hand_drift, wrench)
 
 
 def thinned(trial: Trial) -> tuple[Trial, int]:

@@ -7,15 +7,15 @@ fits and verdicts allow for them.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import Motion
-from cell.study.entries import Finite, SectionPart
+from cell.study.entries import Finite
 
 #: Pieces of constant acceleration error over a motion, and the share of the error's variance below
 #: which shapes are dropped.
@@ -26,24 +26,7 @@ _GONE = 0.1
 _Density = Annotated[float, Field(ge=0.0, le=10.0)]
 
 
-class HandDriftSection(SectionPart):
-    """Entry `hand_drift` of a trial."""
-
-    from_s: Finite
-    to_s: Finite
-    noise_m_per_s2_per_rt_hz: tuple[_Density, _Density] = (0.0, 0.0)
-    gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
-    ends_known: bool = False
-    turn_std_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    axle_m: tuple[Finite, Finite] = (0.0, 0.0)
-    clamp_turns: bool = True
-
-    def drift(self) -> HandDrift:
-        """The drift of this entry."""
-        return HandDrift(**self.model_dump())
-
-
-def drift_complaint(drift: HandDriftSection | None) -> str | None:
+def drift_complaint(drift: HandDrift | None) -> str | None:
     """Complaint that a drift's `to_s` is not after its `from_s`; None if it is."""
     if drift is None or drift.to_s > drift.from_s:
         return None
@@ -53,7 +36,7 @@ def drift_complaint(drift: HandDriftSection | None) -> str | None:
 
 @dataclass(frozen=True)
 class HandDrift:
-    """Error of the gripper's position that its log does not show.
+    """Error of the gripper's position that its log does not show; entry `hand_drift` of a trial.
 
     The gripper is known to be at rest before `from_s` and after `to_s`.  An error by acceleration
     grows from 0 in between, its velocity 0 at both ends (zero-velocity update), and stays.  An
@@ -66,13 +49,15 @@ class HandDrift:
     clamp_turns  whether the clamp turns with the gripper's arm
     """
 
-    from_s: float
-    to_s: float
-    noise_m_per_s2_per_rt_hz: tuple[float, float] = (0.0, 0.0)
-    gain_std: float = 0.0
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    from_s: Finite
+    to_s: Finite
+    noise_m_per_s2_per_rt_hz: tuple[_Density, _Density] = (0.0, 0.0)
+    gain_std: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
     ends_known: bool = False
-    turn_std_rad: float = 0.0
-    axle_m: tuple[float, float] = (0.0, 0.0)
+    turn_std_rad: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    axle_m: tuple[Finite, Finite] = (0.0, 0.0)
     clamp_turns: bool = True
 
     @property
@@ -82,8 +67,8 @@ class HandDrift:
 
     def to_plain(self) -> dict[str, Any]:
         """Entry of a study's file, without default values."""
-        section = HandDriftSection(**asdict(self))
-        return section.model_dump(mode="json", exclude_defaults=True)
+        plain: dict[str, Any] = ENTRY.dump_python(self, mode="json", exclude_defaults=True)
+        return plain
 
     def shapes_m(self, t_s: FloatArray, grip: Motion) -> FloatArray:
         """(shapes, T, 2) independent errors of one standard deviation, of x or y each, m."""
@@ -139,6 +124,10 @@ class HandDrift:
         within_s = np.minimum(since_s, step_s)
         place_m = std * within_s * (since_s - 0.5 * within_s)
         return np.asarray(place_m - place_m.mean(axis=0))
+
+
+#: Reads and writes the entry of a study's file.
+ENTRY = TypeAdapter(HandDrift)
 
 
 def _along(errors: FloatArray, known: FloatArray) -> FloatArray:

@@ -10,7 +10,6 @@ from itertools import combinations
 
 import numpy as np
 
-from cell.cable.arrays import FloatArray
 from cell.study.check import Failure, noted, refused
 from cell.study.clocks import GAP_S, GAP_STEPS, CutOff
 from cell.study.series import span_m
@@ -185,9 +184,10 @@ def longer_than_cable(e: TrialEvidence) -> Failure | None:
 )
 def out_of_plane(e: TrialEvidence) -> Failure | None:
     """Does the cable move in one plane?"""
-    away_m, limit_m = _out_of_plane_m(e), REFUSED_ACROSS * e.cable.length_m
-    if away_m is None:
+    across_m, limit_m = e.across_m, REFUSED_ACROSS * e.cable.length_m
+    if across_m is None or not np.isfinite(across_m).any():
         return None
+    away_m = np.abs(across_m - np.nanmedian(across_m))
     far = np.nan_to_num(away_m).max(axis=1) > limit_m
     if np.count_nonzero(far) <= MOST_SLIPS * len(far):
         return None
@@ -208,14 +208,6 @@ def wide(e: TrialEvidence) -> Failure | None:
     across_m = e.across_m[:, seen]  # a marker may lie beside the plane of the others
     rms_m = float(np.sqrt(np.nanmean((across_m - np.nanmedian(across_m, axis=0)) ** 2)))
     return None if rms_m < NOTED_ACROSS * e.cable.length_m else Failure({"rms_mm": rms_m * 1e3})
-
-
-def _out_of_plane_m(e: TrialEvidence) -> FloatArray | None:
-    """(T, markers) distance from the plane of all markers."""
-    across_m = e.across_m
-    if across_m is None or not np.isfinite(across_m).any():
-        return None
-    return np.asarray(np.abs(across_m - np.nanmedian(across_m)))
 
 
 @noted(

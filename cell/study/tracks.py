@@ -76,7 +76,6 @@ def _exchange_candidates(there: FloatArray) -> list[int]:
 
 
 def _swapped_pairs(before_m: FloatArray, now_m: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of markers (markers, 2) that have changed places."""
     both = _both_nearer(before_m[None], now_m[None])[0]
     return [(int(a), int(b)) for a, b in np.argwhere(np.triu(both, 1))]
 
@@ -153,7 +152,7 @@ def _jump_m(xy_m: FloatArray, first: int, last: int) -> float:
 
 
 def identical(xy_m: FloatArray) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
-    """Pairs of markers with the same places in all rows (T,) that show both."""
+    """Pairs of markers (T, markers, d) with the same places in all rows (T,) that show both."""
     for first, second in combinations(range(xy_m.shape[1]), 2):
         both = np.isfinite(xy_m[:, [first, second]]).all(axis=(1, 2))
         equal = np.array_equal(xy_m[both, first], xy_m[both, second])

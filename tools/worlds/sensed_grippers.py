@@ -14,13 +14,13 @@ from cell.cable.geometry import GRAVITY_M_PER_S2, Motion
 from cell.files.atomic import write_all
 from cell.study.data import Study
 from cell.study.hand_drift import HandDrift
+from cell.study.imports.capture import TextForm
 from cell.study.imports.convert import read_captures, study_of
 from cell.study.imports.gripper_section import (
     AccelerationSection,
     AngleSection,
     AxesSection,
     GripperSection,
-    TextSection,
     TimeSection,
     TurnsSection,
 )
@@ -41,7 +41,7 @@ NOISE, OFFSET, RATE_HZ = 0.02, 0.1, 1000.0
 DENSITY = NOISE * float(np.sqrt(2.0 / RATE_HZ))
 #: Encoder: samples a second.
 ENCODER_HZ = 500.0
-_TABLE = TextSection(separator=",", decimal=".")
+_TABLE = TextForm(separator=",", decimal=".")
 _PLANE = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
 _TIME = TimeSection(column="t_s", seconds_per_unit=1.0)
 

@@ -19,7 +19,7 @@ from cell.records.recording import form
 from cell.records.recording.reading import Recording
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.folder import write_study
-from cell.study.hand_drift import HandDrift, HandDriftSection
+from cell.study.hand_drift import ENTRY, HandDrift
 from cell.study.wrench import SensorEntry, sensor_entry
 
 
@@ -83,7 +83,7 @@ def study_from_plain(data: Mapping[str, Any]) -> Study:
 
 def _drift(section: Mapping[str, Any] | None) -> HandDrift | None:
     """Recordings of earlier versions have none."""
-    return None if section is None else HandDriftSection(**section).drift()
+    return None if section is None else ENTRY.validate_python(section)
 
 
 def _array(values: Any) -> FloatArray:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import Enum
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError, Problem, did_you_mean
+from cell.study.entries import SectionPart
 
 Decimal = Literal[".", ","]
 
@@ -211,11 +214,10 @@ class CapturedColumn:
     words: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class TextForm:
+class TextForm(SectionPart):
     """How a table is written as text: what separates its cells, and its decimal mark."""
 
-    separator: str
+    separator: Annotated[str, Field(min_length=1, max_length=1)]
     decimal: Decimal
 
 
@@ -269,9 +271,23 @@ class Capture:
         """Categories of a text column; empty = the column is numeric or missing."""
         return next((c.words for c in self.columns if c.name == name), ())
 
-    def at(self, names: tuple[str, ...] | list[str]) -> FloatArray:
+    def at(self, names: Sequence[str]) -> FloatArray:
         """(rows, names) values of several columns.  Raises InputError."""
         return np.stack([self.column(name) for name in names], axis=1)
+
+    def noted(self, *notes: str) -> Capture:
+        """The file with further notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    def of_columns(self, indices: Sequence[int]) -> Capture:
+        """The file with some of its columns."""
+        columns = tuple(self.columns[i] for i in indices)
+        return replace(self, columns=columns, values=self.values[:, list(indices)])
+
+    def with_columns(self, columns: Sequence[CapturedColumn], values: FloatArray) -> Capture:
+        """The file with further columns, and their values (rows, columns)."""
+        values = np.column_stack([self.values, values])
+        return replace(self, columns=(*self.columns, *columns), values=values)
 
     def problem(self, row: int, message: str, key: str = "") -> Problem:
         """A problem of a row; if rows are not lines, the message has the row's number."""

@@ -20,6 +20,7 @@ from cell.study.imports.shape import (
     rest_rows,
 )
 from cell.study.imports.units import METRES
+from cell.study.tracks import identical
 
 #: A point is stationary if it moves by less than this share of the largest motion.
 STAYS = 1e-3
@@ -185,7 +186,6 @@ def check_scales(captures: Sequence[Capture], chosen: Chosen, findings: ImportFi
 
 
 def _check_not_single(capture: Capture, cable: Sequence[Point], others: Sequence[Capture]) -> None:
-    """Raise InputError if a file has a single point: there is none for the gripper."""
     if len(cable) > 1:
         return
     message = "shows one point and no gripper: give a file of the gripper with --hand, or call "
@@ -208,18 +208,13 @@ def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
 
 def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
     """Raise InputError if two points have equal positions in all rows: they are one marker."""
-    for i, first in enumerate(points):
-        for second in points[i + 1 :]:
-            if first.on_gripper and second.on_gripper:
-                continue  # a body and a marker at its origin
-            both = np.isfinite(raw[first.name] + raw[second.name]).all(axis=1)
-            count = int(both.sum())
-            if count > 1 and np.array_equal(raw[first.name][both], raw[second.name][both]):
-                raise capture.error(
-                    int(np.argmax(both)),
-                    f"{first.name!r} and {second.name!r} have the same places in all {count} rows "
-                    "that show both: it is one marker; remove the columns of one",
-                )
+    for i, k, both in identical(np.stack([raw[p.name] for p in points], axis=1)):
+        if not (points[i].on_gripper and points[k].on_gripper):  # a body and a marker at its origin
+            raise capture.error(
+                int(np.argmax(both)),
+                f"{points[i].name!r} and {points[k].name!r} have the same places in all "
+                f"{both.sum()} rows that show both: it is one marker; remove the columns of one",
+            )
 
 
 def detected_places(

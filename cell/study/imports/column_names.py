@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -142,6 +143,8 @@ def meaning(column: CapturedColumn) -> Meaning:
 #: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
 _AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
 _NUMBER_AT_END = re.compile(r"(.*\w)[_:\[]([0-3])\]?")
+#: Of columns and rows of an image.
+_OF_IMAGE = re.compile(r"((?:.*[^_\s.:])?)[_\s.:]?([uv])", re.IGNORECASE)
 #: Kinds of columns whose final number may be an axis, if nothing else names the axis.
 _MAYBE_NUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 _QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
@@ -160,23 +163,28 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
     """The columns, with coordinates whose axis is a suffix of their name: `gripx, gripy`.
 
     A suffix is an axis if the file has x and y, or x, y and z, after one stem.  If there are no
-    other coordinates, those of a point may be numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.
+    other coordinates, `d1_u, d1_v` are those of an image, in pixels; else those of a point may be
+    numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.
     """
-    meanings = _with_pixels(meanings)
-    forms = [_AXIS_AT_END]
-    if not any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
-        forms.append(_NUMBER_AT_END)
     result = dict(meanings)
-    for form in forms:
-        stems: dict[str, dict[str, str]] = {}
-        for name, m in meanings:
-            match = form.fullmatch(split_unit(name)[0])
-            kinds = (ColumnKind.OTHER,) if form is _AXIS_AT_END else _MAYBE_NUMBERED
-            if match and m.kind in kinds and not m.axis:
-                stems.setdefault(match[1], {})[match[2].lower()] = name
+    if not any(m.kind is ColumnKind.COORDINATE for m in result.values()):
+        for stem, ends in _stems(meanings, _OF_IMAGE).items():
+            if set(ends) == {"u", "v"}:
+                group = " ".join(w for w in _words(stem) if w not in _FILLER)
+                for axis, name in (("x", ends["u"]), ("y", ends["v"])):
+                    unit = result[name].unit or "px"
+                    result[name] = Meaning(ColumnKind.COORDINATE, group, axis, unit)
+    meanings = [(name, result[name]) for name, _ in meanings]
+    forms: list[tuple[re.Pattern[str], tuple[ColumnKind, ...]]]
+    forms = [(_AXIS_AT_END, (ColumnKind.OTHER,))]
+    if not any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
+        forms.append((_NUMBER_AT_END, _MAYBE_NUMBERED))
+    for form, kinds in forms:
+        unnamed = [(name, m) for name, m in meanings if m.kind in kinds and not m.axis]
+        stems = _stems(unnamed, form)
         for stem, names in stems.items():
             words = _words(stem)
-            if frozenset(names) == frozenset("0123") and _is_quaternion(words):
+            if set(names) == set("0123") and (_QUATERNION | {"orientation"}) & set(words):
                 group = " ".join(w for w in words if w not in _FILLER | _ANGLE | _QUATERNION)
                 for place, name in names.items():
                     axis = "xyzw"[int(place)]
@@ -196,30 +204,15 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
     return [(name, result[name]) for name, _ in meanings]
 
 
-#: Columns and rows of an image.
-_OF_IMAGE = re.compile(r"(.*[^_\s.:])?[_\s.:]?([uv])", re.IGNORECASE)
-
-
-def _with_pixels(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
-    """The columns, with `d1_u, d1_v` as image coordinates, if there are no other coordinates."""
-    if any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
-        return meanings
+def _stems(
+    meanings: Sequence[tuple[str, Meaning]], form: re.Pattern[str]
+) -> dict[str, dict[str, str]]:
+    """Columns by the stem and the end of their names."""
     stems: dict[str, dict[str, str]] = {}
     for name, _ in meanings:
-        if match := _OF_IMAGE.fullmatch(split_unit(name)[0]):
-            stems.setdefault(match[1] or "", {})[match[2].lower()] = name
-    result = dict(meanings)
-    for stem, names in stems.items():
-        if set(names) == {"u", "v"}:
-            group = " ".join(w for w in _words(stem) if w not in _FILLER)
-            for end, name in names.items():
-                unit = result[name].unit or "px"
-                result[name] = Meaning(ColumnKind.COORDINATE, group, "xy"["uv".index(end)], unit)
-    return [(name, result[name]) for name, _ in meanings]
-
-
-def _is_quaternion(words: list[str]) -> bool:
-    return bool(_QUATERNION.intersection(words) or "orientation" in words)
+        if match := form.fullmatch(split_unit(name)[0]):
+            stems.setdefault(match[1], {})[match[2].lower()] = name
+    return stems
 
 
 def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
@@ -243,20 +236,23 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
     return ColumnKind.FRAME if words & _FRAME else ColumnKind.OTHER
 
 
-#: Last words of columns of detection confidence, and their thresholds.
-_THRESHOLD = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
-              "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+#: Last words of columns of detection confidence, and of those that are 1 where a point is visible;
+#: the thresholds below which it is not.
+_CONFIDENCE = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
+               "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+_VISIBILITY = dict.fromkeys(("v", "vis", "visibility"), 0.5)
 
 
-def confidence(column: CapturedColumn) -> tuple[str, float] | None:
-    """The point and the threshold of a column of detection confidence; None for other columns.
+def visibility(column: CapturedColumn) -> tuple[str, float, bool] | None:
+    """Point, threshold, and whether it is a flag, of a column of visibility; None = another one.
 
     source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
     """
-    words = _words(column.name)
-    if len(words) < 2 or words[-1] not in _THRESHOLD:
+    *words, last = _words(column.name) or [""]
+    if last not in _VISIBILITY and not (words and last in _CONFIDENCE):
         return None
-    return " ".join(w for w in words[:-1] if w not in _FILLER), _THRESHOLD[words[-1]]
+    group = " ".join(w for w in words if w not in _FILLER)
+    return group, (_CONFIDENCE | _VISIBILITY)[last], last in _VISIBILITY
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -73,7 +74,7 @@ def read_container(path: Path) -> Capture:
         capture = _capture_of_part(path, part, tree, units)
         note = f"{path}: a stream of its own, by its topic, its clock or events around a trial"
         in_streams = _TREES.get(file.suffix.lower()) is streams_tree
-        return replace(capture, notes=(*capture.notes, note)) if in_streams else capture
+        return capture.noted(note) if in_streams else capture
     return _read_checked(file, lambda f: capture_of(f, tree, units))
 
 
@@ -123,15 +124,9 @@ def _capture_of_part(path: Path, part: str, tree: Tree, units: Units) -> Capture
     if group is None:
         available = ", ".join(WITHIN.join(g) for g in time_groups(tree)) or "none"
         raise InputError.at(path, f"has no part {part!r} with times; it has {available}")
-    arrays = within(tree, group)
-    of_key = {key: unit for key in arrays for unit in units_at(units, group, key)}
+    arrays, above = within(tree, group), group[:-1]  # a gripper's group keeps its own name
+    of_key = {key: units.get((*group, *key), units.get((*above, *key), "")) for key in arrays}
     return capture_of(path, arrays, of_key)
-
-
-def units_at(units: Units, group: tuple[str, ...], key: tuple[str, ...]) -> list[str]:
-    """The unit of an array of a group by its name within it; empty = none is stated."""
-    names = ((*group, *key), (*group[:-1], *key))  # a gripper's group keeps its own name
-    return [units[name] for name in names if name in units][:1]
 
 
 def _read_checked(path: Path, read: Callable[[Path], _Read]) -> _Read:
@@ -163,20 +158,9 @@ def _mat(path: Path) -> tuple[Tree, Units]:
     return flat({k: v for k, v in content.items() if not k.startswith("__")}), {}
 
 
-def _parquet(path: Path) -> tuple[Tree, Units]:
-    from pyarrow.parquet import read_table
-
-    return _arrow_tree(read_table(path)), {}
-
-
-def _feather(path: Path) -> tuple[Tree, Units]:
-    from pyarrow.feather import read_table
-
-    return _arrow_tree(read_table(path)), {}
-
-
-def _arrow_tree(table: Any) -> Tree:
-    columns: Tree = {}
+def _arrow(form: str, path: Path) -> tuple[Tree, Units]:
+    """Columns of a table of Arrow's; form: the module that reads it."""
+    table, columns = import_module(f"pyarrow.{form}").read_table(path), Tree()
     for name in table.column_names:
         values = table.column(name).to_pylist()
         if values and any(isinstance(v, list) for v in values):
@@ -185,7 +169,7 @@ def _arrow_tree(table: Any) -> Tree:
             columns[(name,)] = np.array(values, dtype=np.float64)
         else:
             columns[(name,)] = _series(values)
-    return columns
+    return columns, {}
 
 
 def _series(values: Sequence[object]) -> NDArray[Any]:
@@ -283,7 +267,6 @@ def _item_label(item: Mapping[str, Any], number: int) -> str:
 
 
 def _check_one_trial(path: Path, tree: Tree) -> None:
-    """Raise InputError if several groups have their own times."""
     groups = [WITHIN.join(group) or "its top" for group in time_groups(tree)]
     if len(groups) > 1:
         raise InputError.at(
@@ -423,8 +406,9 @@ def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
 
 
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
-    ".mat": _mat, ".parquet": _parquet, ".npy": _npy, ".npz": _npz, ".h5": _hdf5_tree,
-    ".hdf5": _hdf5_tree, ".nc": _hdf5_tree, ".feather": _feather, ".arrow": _feather,
+    ".mat": _mat, ".parquet": partial(_arrow, "parquet"), ".npy": _npy, ".npz": _npz,
+    ".h5": _hdf5_tree, ".hdf5": _hdf5_tree, ".nc": _hdf5_tree,
+    ".feather": partial(_arrow, "feather"), ".arrow": partial(_arrow, "feather"),
     ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
 }  # fmt: skip
 #: Endings of names of files of arrays.

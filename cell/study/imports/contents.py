@@ -12,7 +12,6 @@ from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
 from cell.study.imports.column_names import (
     ColumnKind,
     Meaning,
-    confidence,
     meaning,
     with_axes_at_ends,
 )
@@ -97,7 +96,8 @@ def contents(capture: Capture) -> Contents:
     meanings = with_axes_at_ends([(c.name, meaning(c)) for c in capture.columns])
     if all(m.kind is not ColumnKind.TIME for _, m in meanings):
         meanings = [_since_1970(capture, n, m) for n, m in meanings]
-    times = [(n, m) for n, m in meanings if m.kind is ColumnKind.TIME and _holds_any(capture, n)]
+    times = [(n, m) for n, m in meanings
+             if m.kind is ColumnKind.TIME and np.isfinite(capture.column(n)).any()]  # fmt: skip
     frames = [(n, m) for n, m in meanings if m.kind is ColumnKind.FRAME]
     rising = [(n, m) for n, m in times if _rises(capture, n)]
     rising.sort(key=lambda column: "header" not in column[1].group.split())  # stamped by its sensor
@@ -202,33 +202,6 @@ def _are_synonyms(first: Meaning, second: Meaning) -> bool:
     return same and groups[0] == groups[1] and bool(first.axis and groups[0])
 
 
-def without_unsure(capture: Capture) -> Capture:
-    """The file without positions whose detection confidence is below the threshold.
-
-    A point that would lose more than half of its rows is not changed.
-    """
-    values, notes = capture.values.copy(), list(capture.notes)
-    for column, confidences in zip(capture.columns, capture.values.T, strict=True):
-        if (limit := confidence(column)) is None:
-            continue
-        group, threshold = limit
-        coordinates = [
-            i
-            for i, c in enumerate(capture.columns)
-            if (m := meaning(c)).kind is ColumnKind.COORDINATE and m.group == group
-        ]
-        unsure = confidences < threshold
-        count = int(np.count_nonzero(unsure))
-        if not coordinates or not count or 2 * count > len(confidences):
-            continue
-        values[np.ix_(unsure, coordinates)] = np.nan
-        notes.append(
-            f"{capture.path}: {column.name!r} is below {threshold:g} in {count} rows: {group!r} is "
-            "taken as not seen there"
-        )
-    return replace(capture, values=values, notes=tuple(notes))
-
-
 def _accelerations(
     meanings: list[tuple[str, Meaning]], markers: set[str]
 ) -> tuple[tuple[str, Meaning], ...]:
@@ -248,10 +221,6 @@ def _counts_rows(capture: Capture, name: str, by_name: Meaning) -> bool:
         return False
     is_integer = bool(np.all(steps >= 1.0) and np.all(steps == np.round(steps)))
     return is_integer and bool(np.median(steps) == 1.0 and steps.mean() < _MEAN_STEP)
-
-
-def _holds_any(capture: Capture, name: str) -> bool:
-    return bool(np.isfinite(capture.column(name)).any())
 
 
 def _rises(capture: Capture, name: str) -> bool:

@@ -50,10 +50,7 @@ def read_captures(read: ReadMapping) -> dict[str, Capture]:
     each = [(t, read.mapping.of_trial(t)) for t in read.mapping.trials]
     forms = {t.file: mapping.text for t, mapping in each}
     forms |= {t.hand_file: mapping.hand.text for t, mapping in each if t.hand_file is not None}
-    captures = {
-        name: read_capture(read.file(name), None if text is None else text.form)
-        for name, text in forms.items()
-    }
+    captures = {name: read_capture(read.file(name), form) for name, form in forms.items()}
     for trial, _ in each:
         if trial.joined_files:
             others = [read_capture(read.file(name)) for name in trial.joined_files]
@@ -69,27 +66,27 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     """
     mapping = read.mapping
     arcs = np.array([m.arc_length_m for m in mapping.markers], dtype=np.float64)
-    stds = _arc_length_std_m(mapping)
     order = np.argsort(-arcs, kind="stable")
-    cable = _cable(read)
+    arcs, stds = arcs[order], _arc_length_std_m(mapping, order)
+    cable = _cable(read, arcs, stds, order)
     problems: list[Problem] = []
     notes = [note for capture in captures.values() for note in capture.notes]
     trials: list[Trial] = []
     if mapping.hand.columns is not None and mapping.hand.origin_m is None:
-        read, note = _with_origin(read, captures, arcs[order], order)
+        read, note = _with_origin(read, captures, arcs, order)
         notes.append(note)
     for i, entry in enumerate(mapping.trials):
         try:
             measured = _read_trial(read.of_trial(entry), entry, captures, order)
-            _check_unit(read, measured.trial, arcs[order])
-            _check_origin(read, measured.trial, arcs[order], cable.length_m)
+            _check_unit(read, measured.trial, arcs)
+            _check_origin(read, measured.trial, arcs, cable.length_m)
         except InputError as error:
             problems += error.problems
             continue
         if (complaint := measured.trial.release_complaint) is not None:
             problems.append(read.document.problem(("trials", i, "release_s"), complaint))
             continue
-        refusals, remarks = _check_trial(measured, cable, arcs[order], mapping.gravity_m_per_s2)
+        refusals, remarks = _check_trial(measured, cable, arcs, mapping.gravity_m_per_s2)
         problems += refusals
         notes += [*measured.notes, *remarks]
         trials.append(measured.trial)
@@ -103,11 +100,11 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     study = Study(
         mapping.name,
         cable,
-        arcs[order],
+        arcs,
         tuple(trials),
         mapping.gravity_m_per_s2,
         mapping.noise_std_m,
-        arc_length_std_m=None if stds is None else stds[order],
+        arc_length_std_m=stds,
         sensor=WrenchSensor() if mapping.wrench is None else mapping.wrench.sensor(),
     )
     return Imported(study, tuple(notes))
@@ -196,7 +193,6 @@ class _ImportedTrial:
 def _check_trial(
     measured: _ImportedTrial, cable: Cable, arcs: FloatArray, gravity: tuple[float, float]
 ) -> tuple[list[Problem], list[str]]:
-    """Problems for which a trial is refused, and notes on it."""
     trial = measured.trial
     evidence = TrialEvidence(trial, cable, arcs, gravity, measured.across_m)
     problems = [measured.problem(*each) for each in failures(IMPORT_REFUSALS, evidence)]
@@ -266,45 +262,38 @@ def trials_of(
     return trials, problems
 
 
-def _arc_length_std_m(mapping: Mapping) -> FloatArray | None:
+def _arc_length_std_m(mapping: Mapping, order: NDArray[np.intp]) -> FloatArray | None:
     """(markers,) of the mapping, 0 where a position is exact; None = all are."""
     stds_m = [m.arc_length_std_m for m in mapping.markers]
     if all(std_m is None for std_m in stds_m):
         return None
-    return np.array([std_m or 0.0 for std_m in stds_m])
+    return np.array([std_m or 0.0 for std_m in stds_m])[order]
 
 
-def _cable(read: ReadMapping) -> Cable:
-    """The datasheet.  Raises InputError: entries of the mapping that no study may have."""
-    mapping = read.mapping
-    arcs = [m.arc_length_m for m in mapping.markers if m.arc_length_m is not None]
-    stds = _arc_length_std_m(mapping)
-    entries = mapping.cable.model_dump(exclude_none=True)
+def _cable(
+    read: ReadMapping, arcs: FloatArray, stds: FloatArray | None, order: NDArray[np.intp]
+) -> Cable:
+    """The datasheet.  Raises InputError: entries of the mapping that no study may have.
+
+    arcs, stds  (markers,) arc lengths and their standard deviations, the tip first
+    """
+    entries = read.mapping.cable.model_dump(exclude_none=True)
     datasheet = datasheet_of(entries)
-    problems = [
-        read.document.problem(_key_of(read, key), message)
-        for key, message in implausible_entries(
-            entries, datasheet, mapping.gravity_m_per_s2, sorted(arcs, reverse=True),
-            mapping.noise_std_m, () if stds is None else stds[_tip_first(mapping)].tolist(),
-        )
-    ]  # fmt: skip
+    complaints = implausible_entries(
+        entries, datasheet, read.mapping.gravity_m_per_s2, arcs.tolist(),
+        read.mapping.noise_std_m, () if stds is None else stds.tolist(),
+    )  # fmt: skip
+    problems = [read.document.problem(_key_of(key, order), text) for key, text in complaints]
     if problems or datasheet is None:
         raise InputError(problems)
     return datasheet
 
 
-def _tip_first(mapping: Mapping) -> NDArray[np.intp]:
-    """Numbers of the markers in the order of a study."""
-    arcs = np.array([m.arc_length_m or 0.0 for m in mapping.markers])
-    return np.argsort(-arcs, kind="stable")
-
-
-def _key_of(read: ReadMapping, key: Key) -> Key:
+def _key_of(key: Key, order: NDArray[np.intp]) -> Key:
     """Key in the mapping of a study's entry: arc lengths are entries of their markers."""
     if key[0] != "markers" or len(key) < 2:
         return key
-    number = int(_tip_first(read.mapping)[int(key[2])]) if len(key) > 2 else 0
-    return "markers", number, key[1]
+    return "markers", int(order[int(key[2])]) if len(key) > 2 else 0, key[1]
 
 
 def _read_trial(
@@ -337,7 +326,7 @@ def _read_trial(
     source = Source(capture.path, capture.lines[detected], order, tuple(m.name for m in entries))
     markers = Markers(t_s[detected] - zero_s, xy_m[detected], source)
     motion, path = _motion(read, entry, captures, zero_s, markers)
-    drift = path.drift if entry.hand_drift is None else entry.hand_drift.drift()
+    drift = entry.hand_drift or path.drift
     wrench = None if mapping.wrench is None else mapping.wrench.wrench(capture, t_s - zero_s)
     trial = Trial(
         entry.name, entry.role, entry.start, motion, markers, entry.release_s, drift, wrench
@@ -436,7 +425,6 @@ def _motion(
 
 
 def _same_unit(long_m: FloatArray, cable_m: FloatArray) -> bool:
-    """Whether the total lengths of markers' and cable's pieces are in the same unit."""
     totals = float(long_m.sum()), float(cable_m.sum())
     return min(totals) <= 0.0 or 1.0 / WRONG_UNIT < totals[0] / totals[1] < WRONG_UNIT
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import reprlib
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,6 @@ from cell.study.imports.capture import (
     number,
 )
 from cell.study.imports.channels import by_channels
-from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import contents
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
@@ -134,26 +132,16 @@ def _plain_numbers(lines: Sequence[str], form: TextForm) -> np.ndarray | None:
     marks = f"{form.decimal}{separator}".replace(" ", " \t")
     if not re.fullmatch(rf"[0-9eE+\-{re.escape(marks)}\n]+", text):
         return None
-    counts = {len(line.split()) if separator == " " else line.count(separator) + 1
-              for line in lines}  # fmt: skip
-    if len(counts) != 1:
-        return None
     text = text.replace(",", ".") if form.decimal == "," else text
     if separator != " ":
-        empty = f"{separator}{separator}"
-        text = text.replace("\n", separator)
-        text = text.replace(empty, f"{separator}nan{separator}")
-        text = text.replace(empty, f"{separator}nan{separator}")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            values = np.fromstring(text, sep=separator)
-        except (DeprecationWarning, ValueError):  # something is no number
-            return None
-    (width,) = counts
-    if len(values) != width * len(lines) or np.isinf(values).any():
+        mark = re.escape(separator)
+        text = re.sub(rf"(?:^|(?<={mark}))(?={mark}|$)", "nan", text, flags=re.MULTILINE)
+    try:
+        delimiter = None if separator == " " else separator
+        values = np.loadtxt(text.splitlines(), delimiter=delimiter, ndmin=2)
+    except ValueError:  # something is no number, or a line has more or fewer cells
         return None
-    return values.reshape(len(lines), width)
+    return None if len(values) != len(lines) or np.isinf(values).any() else values
 
 
 def _text(path: Path) -> tuple[str, list[str]]:
@@ -221,7 +209,7 @@ def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> 
             problems.append(error)
     if not read:
         raise problems[0]
-    if (made := trials_of_blocks(read, titles) or point_by_point(read)) is not None:
+    if (made := trials_of_blocks(read, titles) or point_by_point(read, titles)) is not None:
         return made
     best = max(read, key=lambda table: len(contents(table).points))
     for other in read:
@@ -233,41 +221,34 @@ def _main_table(path: Path, tables: Sequence[Sequence[Row]], form: TextForm) -> 
             best = merged
         else:
             note = f"{path}:{other.lines[0]}: another table begins here; it is not read"
-            best = replace(best, notes=(*best.notes, note))
+            best = best.noted(note)
     return best
 
 
 def _with_names_of_first(
     path: Path, tables: Sequence[Sequence[Row]], form: TextForm
 ) -> Sequence[Sequence[Row]]:
-    """Tables of one point each below its name, with the line of names that only the first has.
+    """Tables of a point or a frame each, with the lines of names that only the first has.
 
     As Kinovea writes trajectories: `#T X Y`, then `# tip` above the rows of each point.
     """
-    blocks = []
     try:
-        for rows in tables:
-            first, last = _table_range(path, rows, form)
-            above = [bare(row) for row in rows[:first] if not row.blank]
-            blocks.append((above, rows[first:last]))
+        firsts = [_table_range(path, rows, form)[0] for rows in tables]
     except InputError:
         return tables
-    if all(above and stated_time(above[-1]) for above, _ in blocks):  # blocks of a frame each
-        head = tables[0][: tables[0].index(blocks[0][1][0])]
-        return [tables[0], *([*head, *rows] for rows in tables[1:])]
-    (above, table), others = blocks[0], blocks[1:]
-    width = len(table[0].cells)
-    titles = next((cells for cells in above[:-1] if len(cells) == width), None)
-    alike = all(len(names) == 1 and len(rows[0].cells) == width for names, rows in others)
-    if titles is None or not others or not alike:
+    above = [[bare(row) for row in rows[:first] if not row.blank]
+             for rows, first in zip(tables, firsts, strict=True)]  # fmt: skip
+    if all(lines and stated_time(lines[-1]) for lines in above):
+        return [tables[0], *([*tables[0][: firsts[0]], *rows] for rows in tables[1:])]
+    below = [rows[first:] for rows, first in zip(tables, firsts, strict=True)]
+    widths = {len(rows[0].cells) for rows in below}
+    names = next((cells for cells in above[0][:-1] if widths == {len(cells)}), None)
+    if names is None or len(tables) < 2 or any(len(lines) != 1 for lines in above[1:]):
         return tables
-    named = []
-    turns = any(meaning(CapturedColumn(t)).kind is ColumnKind.ANGLE for t in titles)
-    for names, rows in blocks:
-        point = " ".join(names[-1])
-        cells = (titles[0], *(t if turns else f"{point} {t}" for t in titles[1:]))
-        named.append([Row(rows[0].line - 2, (point,)), Row(rows[0].line - 1, cells), *rows])
-    return named
+    return [
+        [Row(rows[0].line - 2, (" ".join(lines[-1]),)), Row(rows[0].line - 1, tuple(names)), *rows]
+        for lines, rows in zip(above, below, strict=True)
+    ]
 
 
 def _raw_table(
@@ -297,8 +278,7 @@ def _raw_table(
     if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
-    notes = [*capture.notes, *row_notes, *comment_notes, *notes]
-    return replace(capture, form=form, notes=tuple(notes)), labels
+    return replace(capture, form=form).noted(*row_notes, *comment_notes, *notes), labels
 
 
 def captured(

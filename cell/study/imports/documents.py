@@ -198,7 +198,6 @@ def _corners(content: list[Any]) -> FloatArray | None:
 
 
 def _label(item: Any, index: int) -> str:
-    """Label of an entry of a list, else its index."""
     if not isinstance(item, Mapping):
         return str(index)
     candidates = (item[key] for key in _LABELS if key in item)

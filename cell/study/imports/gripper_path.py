@@ -131,7 +131,6 @@ def _path_by_encoder(
 def _path_by_sensor(
     read: ReadMapping, entry: TrialEntry, capture: Capture, t_s: FloatArray, angle_rad: FloatArray
 ) -> GripperPath:
-    """The gripper of a trial by its accelerometer."""
     mapping = read.mapping
     section = mapping.hand.acceleration
     assert section is not None

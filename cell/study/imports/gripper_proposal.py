@@ -20,7 +20,6 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
-    TextSection,
     TurnsSection,
     entries_to_fill_in,
 )
@@ -288,7 +287,7 @@ def section_of_file(
     """
     capture, inside, point, file = hand.capture, hand.inside, hand.point, hand.capture.path.name
     time, time_finding = time_section(capture, inside, None, lasts_s)
-    of_file: dict[str, Any] = {"text": TextSection.of(capture), "time": time}
+    of_file: dict[str, Any] = {"text": capture.form, "time": time}
     if point is None:
         findings.append(time_finding)
         if inside.has_gripper_sensor:

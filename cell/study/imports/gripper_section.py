@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
 from cell.files.yaml_document import Key
 from cell.study.entries import Finite, NotNegative, Positive, SectionPart
-from cell.study.imports.capture import Capture, Decimal, TextForm
+from cell.study.imports.capture import TextForm
 
 BodyAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 #: Of angles about x, y and z: a rotation vector, or the order of turns about a body's own axes.
@@ -23,24 +23,6 @@ Columns = Annotated[list[Name | None], Field(min_length=2, max_length=3)]
 
 #: Alternative entries of the gripper's position; those of `angle` are separate.
 WAYS = ("columns", "fixed_m", "turns", "acceleration")
-
-
-class TextSection(SectionPart):
-    """How tables are written as text."""
-
-    separator: Annotated[str, Field(min_length=1, max_length=1)]
-    decimal: Decimal
-
-    @classmethod
-    def of(cls, capture: Capture) -> TextSection | None:
-        """The form of a file; None = it is not a text."""
-        form = capture.form
-        return None if form is None else cls(separator=form.separator, decimal=form.decimal)
-
-    @property
-    def form(self) -> TextForm:
-        """The form for reading."""
-        return TextForm(self.separator, self.decimal)
 
 
 class TimeSection(SectionPart):
@@ -135,7 +117,7 @@ class GripperSection(SectionPart):
     turns: TurnsSection | None = None
     acceleration: AccelerationSection | None = None
     angle: AngleSection
-    text: TextSection | None = None
+    text: TextForm | None = None
     time: TimeSection | None = None
     metres_per_unit: Positive | None = None
     axes: AxesSection | None = None
@@ -158,25 +140,27 @@ class GripperSection(SectionPart):
         return self.model_copy(update={**dict.fromkeys(WAYS), **still})
 
 
+#: Entries of sections that no file tells, and how to determine them.
+_TO_FILL_IN = {
+    ("turns", "radians_per_unit"):
+        "give 2π / counts of a turn, 0.0174533 for degrees; negative if up is positive",
+    ("turns", "axle_m"): "measure where the axle is, as [x, y]",
+    ("turns", "radius_m"):
+        "measure from the axle to the gripping point; 0 if the clamp is on the axle",
+    ("acceleration", "m_per_s2_per_unit"):
+        "give 9.81 for g, 1 for m/s², negative where the sensor shows g − a",
+    ("acceleration", "starts_at_m"):
+        "measure where the gripping point is before it moves, as [x, y]",
+}  # fmt: skip
+
+
 def entries_to_fill_in(hand: GripperSection) -> list[tuple[Key, str]]:
     """Entries that the user must fill in, and how to determine them."""
-    entries: list[tuple[Key, Any, str]] = []
-    if (turns := hand.turns) is not None:
-        entries += [
-            (("turns", "radians_per_unit"), turns.radians_per_unit,
-             "give 2π / counts of a turn, 0.0174533 for degrees; negative if up is positive"),
-            (("turns", "axle_m"), turns.axle_m, "measure where the axle is, as [x, y]"),
-            (("turns", "radius_m"), turns.radius_m,
-             "measure from the axle to the gripping point; 0 if the clamp is on the axle"),
-        ]  # fmt: skip
-    if (sensor := hand.acceleration) is not None:
-        entries += [
-            (("acceleration", "m_per_s2_per_unit"), sensor.m_per_s2_per_unit,
-             "give 9.81 for g, 1 for m/s², negative where the sensor shows g − a"),
-            (("acceleration", "starts_at_m"), sensor.starts_at_m,
-             "measure where the gripping point is before it moves, as [x, y]"),
-        ]  # fmt: skip
-    return [(("hand", *key), remedy) for key, value, remedy in entries if value is None]
+    return [
+        (("hand", part, entry), remedy)
+        for (part, entry), remedy in _TO_FILL_IN.items()
+        if (section := getattr(hand, part)) is not None and getattr(section, entry) is None
+    ]
 
 
 def gripper_complaints(hand: GripperSection) -> Iterator[tuple[Key, str]]:

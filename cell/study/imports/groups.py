@@ -61,7 +61,6 @@ def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str,
 
 
 def _times(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
-    """Series of times by their path."""
     return [
         key
         for key, values in tree.items()
@@ -183,7 +182,6 @@ def _name(group: tuple[str, ...], groups: Sequence[tuple[str, ...]]) -> str:
 
 
 def _words(group: tuple[str, ...]) -> frozenset[str]:
-    """Words of a group's names, in small letters."""
     return frozenset(w for name in group for w in re.split(r"[\W_]+", name.lower()) if w)
 
 

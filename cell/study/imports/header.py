@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -191,12 +191,9 @@ def _padded(cells: Sequence[str], width: int) -> list[str] | None:
     filled = list(cells)
     while filled and not filled[-1].strip() and len(filled) > width:
         filled.pop()
-    if len(filled) > width or (len(filled) < width and len(filled) < 3):
-        return None
     # A line of groups may leave out what would be empty at its end: two columns of its last marker.
-    if width - len(filled) > 2:
-        return None
-    return filled + [""] * (width - len(filled))
+    missing = width - len(filled)
+    return filled + [""] * missing if missing == 0 or (0 < missing <= 2 < len(filled)) else None
 
 
 def _forward_fill(words: Sequence[str]) -> list[str]:
@@ -245,42 +242,39 @@ def _join(parts: Sequence[Sequence[str]]) -> list[str]:
     return [name or f"column {i}" for i, name in enumerate(names, 1)]
 
 
-def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
-    """Rate and unit of length that remarks state."""
-    rate_hz, unit = None, ""
+def _keys_and_values(rows: Lines) -> Iterator[tuple[str, str]]:
+    """Each two neighbouring words of remarks, the first in small letters."""
     for _, cells in rows:
         words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
-        for key, value in pairwise(words):
-            stated = number(value.split()[0], ".") if value.split() else None
-            if not _RATE.match(key.lower()) or stated is None or not stated > 0.0:
-                pass
-            elif rate_hz is None or key.lower().startswith("export"):  # others are of the cameras
-                rate_hz = stated
-            if not unit and _UNIT_KEY.match(key.lower()) and unit_of(value) in METRES:
-                unit = unit_of(value)
+        yield from ((key.lower(), value) for key, value in pairwise(words))
+
+
+def _stated_rate_and_unit(rows: Lines) -> tuple[float | None, str]:
+    rate_hz, unit = None, ""
+    for key, value in _keys_and_values(rows):
+        stated = number(value.split()[0], ".") or 0.0
+        preferred = rate_hz is None or key.startswith("export")  # others are of the cameras
+        if preferred and _RATE.match(key) and stated > 0.0:
+            rate_hz = stated
+        if not unit and _UNIT_KEY.match(key) and unit_of(value) in METRES:
+            unit = unit_of(value)
     in_remarks, its_unit = stated_in_remarks(rows)
     return rate_hz or in_remarks or _rate_below_title(rows), unit or its_unit
 
 
 def _stated_order(rows: Lines) -> str:
     """Order of rotations that a remark states, such as Motive's `Rotation Type,XYZ`."""
-    for _, cells in rows:
-        words = [w.strip() for cell in cells for w in re.split(r"[:=]", cell) if w.strip()]
-        for key, value in pairwise(words):
-            if _ORDER_KEY.fullmatch(key.lower()) and sorted(value.upper()) == ["X", "Y", "Z"]:
-                return value.upper()
-    return ""
+    orders = (value.upper() for key, value in _keys_and_values(rows) if _ORDER_KEY.fullmatch(key))
+    return next((order for order in orders if sorted(order) == ["X", "Y", "Z"]), "")
 
 
 def _rate_below_title(rows: Lines) -> float | None:
     """Rate of a section of Vicon's: a number alone in its line, below a title alone in its own."""
-    first, second = (
-        [c for c in cells if c.strip()] for _, cells in [*rows[:2], *[(0, ())] * 2][:2]
-    )
-    if len(first) != 1 or len(second) != 1 or number(first[0], ".") is not None:
+    alone = [[c for c in cells if c.strip()] for _, cells in rows[:2]]
+    if [len(cells) for cells in alone] != [1, 1] or number(alone[0][0], ".") is not None:
         return None
-    rate_hz = number(second[0], ".")
-    return rate_hz if rate_hz is not None and rate_hz > 0.0 else None
+    rate_hz = number(alone[1][0], ".") or 0.0
+    return rate_hz if rate_hz > 0.0 else None
 
 
 #: Ends a header of LabVIEW's; the first is of the file, the second of a table.

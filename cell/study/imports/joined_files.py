@@ -107,11 +107,6 @@ def _grid(time_columns: Sequence[FloatArray]) -> tuple[FloatArray, list[NDArray[
     return times, indices
 
 
-def same_times(first: Capture, second: Capture) -> bool:
-    """Whether two files have rows at the same times, in time columns of equal name."""
-    return len(first.values) == len(second.values) and on_one_grid([first, second])
-
-
 def motions(captures: Sequence[Capture], gripper_elsewhere: bool = False) -> list[list[int]]:
     """Indices of the files of each motion, if every file holds one frame or point; else empty.
 
@@ -162,7 +157,8 @@ def tells_only_turns(hand: Capture, markers: Capture) -> bool:
     has_orientation = bool(gripper.quaternions or gripper.angles)
     if gripper.points or gripper.has_gripper_sensor or not has_orientation:
         return False
-    return any(p.on_gripper for p in contents(markers).points) and same_times(markers, hand)
+    same_times = len(markers.values) == len(hand.values) and on_one_grid([markers, hand])
+    return same_times and any(p.on_gripper for p in contents(markers).points)
 
 
 def _words(path: Path) -> list[str]:

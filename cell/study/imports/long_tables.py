@@ -19,6 +19,7 @@ from cell.study.imports.row_trials import (
     stacked_rows,
     trial_column,
     trial_labels,
+    with_first,
     with_words,
 )
 from cell.study.imports.tracks import along_cable
@@ -61,7 +62,8 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     repeats = len(np.unique(t)) < len(t)
     if not repeats:
         return _without_text(capture, list(labels))
-    texts = {n: w for n, w in labels.items() if _is_key(w)}
+    texts = {n: w for n, w in labels.items()
+             if 2 <= len(set(w)) <= min(_MAX_LABELS, len(w) - 1)}  # fmt: skip
     if not texts:
         capture, rows = along_cable(capture, time)
         labels = {n: [w[i] for i in rows] for n, w in labels.items()}
@@ -105,18 +107,9 @@ def _trial_by_trial(capture: Capture, labels: Mapping[str, Sequence[str]], colum
         rows = np.flatnonzero(trials == value)
         words = {name: [texts[i] for i in rows.tolist()] for name, texts in labels.items()}
         part = pivoted(rows_of(capture, {column: label}), words)
-        parts.append(
-            replace(
-                part,
-                columns=(capture.columns[place], *part.columns),
-                values=np.column_stack([np.full(len(part.values), value), part.values]),
-            )
-        )
+        same = np.full(len(part.values), value)
+        parts.append(with_first(part, capture.columns[place], same))
     return stacked_rows(parts)
-
-
-def _is_key(words: Sequence[str]) -> bool:
-    return 2 <= len(set(words)) <= min(_MAX_LABELS, len(words) - 1)
 
 
 def names_points(name: str) -> bool:
@@ -170,12 +163,8 @@ def one_row_per_time(capture: Capture) -> Capture:
         values[time_index[row]] = np.where(np.isfinite(merged), merged, row_values)
     count = len(t) - len(first)
     note = f"{capture.path}: {count} rows have the time of the row before, and nothing else in it"
-    return replace(
-        capture,
-        values=values,
-        lines=capture.lines[first],
-        notes=(*capture.notes, f"{note}; they are joined to it"),
-    )
+    merged_rows = replace(capture, values=values, lines=capture.lines[first])
+    return merged_rows.noted(f"{note}; they are joined to it")
 
 
 def time_column(capture: Capture) -> int | None:
@@ -195,7 +184,7 @@ def _without_text(capture: Capture, names: Sequence[str]) -> Capture:
         return capture
     listed = first_of([repr(name) for name in names], 8)
     note = f"{capture.path}: columns that hold words are not read: {listed}"
-    return replace(capture, notes=(*capture.notes, note))
+    return capture.noted(note)
 
 
 def _wide(capture: Capture, time: int, words: Sequence[str], keys: frozenset[int]) -> Capture:
@@ -309,31 +298,30 @@ def of_frames(parts: Sequence[Labelled], numbers: Sequence[float]) -> Capture:
     return pivoted(joint, labels)
 
 
-def point_by_point(tables: Sequence[Capture]) -> Capture | None:
-    """Join tables of one point each, with equal column names and times, side by side.
+def _distinct_titles(
+    tables: Sequence[Capture], titles: Mapping[int, str], default: str
+) -> list[str]:
+    """Titles of tables by the line number of their first row; numbers if they are not distinct."""
+    words = [titles.get(int(t.lines[0]), "") for t in tables]
+    distinct = all(words) and len(set(words)) == len(words)
+    return words if distinct else [f"{default}{n}" for n in range(1, len(tables) + 1)]
 
-    None = the tables differ.  The first table's point is named `marker 1`, and so on.
+
+def point_by_point(tables: Sequence[Capture], titles: Mapping[int, str]) -> Capture | None:
+    """Join tables of one point each, with equal column names and times; None = they differ.
+
+    The points are named as the tables; without different titles `marker 1`, and so on.
+
+    titles  titles of the tables, by the line number of their first row
     """
-    first, point = tables[0], contents(tables[0]).points
-    time = time_column(first)
-    if len(tables) < 2 or len(point) != 1 or time is None:
+    first = tables[0]
+    if len(tables) < 2 or len(contents(first).points) != 1 or time_column(first) is None:
         return None
     if any(t.names != first.names or not same_frames(first, t) for t in tables):
         return None
-    value_columns = [i for i in range(len(first.columns)) if i != time]
-    columns = [
-        CapturedColumn(f"marker {n} {first.columns[i].name}", first.columns[i].unit)
-        for n in range(1, len(tables) + 1)
-        for i in value_columns
-    ]
-    values = [first.values[:, [time]], *(table.values[:, value_columns] for table in tables)]
-    notes = (note for table in tables for note in table.notes)
-    return replace(
-        first,
-        columns=(first.columns[time], *columns),
-        values=np.hstack(values),
-        notes=tuple(notes),
-    )
+    names = zip(_distinct_titles(tables, titles, "marker "), tables, strict=True)
+    labels = [name for name, table in names for _ in table.values]
+    return pivoted(stacked_rows(tables), {"point": labels})
 
 
 def same_frames(first: Capture, second: Capture) -> bool:
@@ -385,24 +373,17 @@ def trials_of_blocks(read: Sequence[Capture], titles: Mapping[int, str]) -> Capt
     starts = [float(t.column(first_contents.time)[0]) for t in read]
     if any(t.column(first_contents.time)[-1] < max(starts) for t in read):
         return None
-    words = [titles.get(int(t.lines[0]), "") for t in read]
-    if len(set(words)) < len(words):
-        words = [str(number) for number in range(1, len(read) + 1)]
+    words = _distinct_titles(read, titles, "")
     parts = [with_words(t, "trial", [w] * len(t.values)) for t, w in zip(read, words, strict=True)]
     trials = stacked_rows(parts)
     note = f"{first.path}: {len(read)} tables with the same columns are trials of their own"
-    return replace(trials, notes=(*trials.notes, note)) if trial_column(trials) else None
+    return trials.noted(note) if trial_column(trials) else None
 
 
 def joined(table: Capture, extra: Capture) -> Capture:
     """A table with the columns of `extra` that it lacks, row by row."""
-    new = [i for i, name in enumerate(extra.names) if name not in table.names]
-    return replace(
-        table,
-        columns=(*table.columns, *(extra.columns[i] for i in new)),
-        values=np.hstack([table.values, extra.values[:, new]]),
-        notes=(*table.notes, *extra.notes),
-    )
+    new = extra.of_columns([i for i, n in enumerate(extra.names) if n not in table.names])
+    return table.with_columns(new.columns, new.values).noted(*extra.notes)
 
 
 def with_joined_times(capture: Capture) -> Capture:
@@ -418,7 +399,7 @@ def with_joined_times(capture: Capture) -> Capture:
         values[:, i] += values[:, k] / _SECOND_NS
         dropped.add(k)
     used = [i for i in range(len(columns)) if i not in dropped]
-    return replace(capture, columns=tuple(columns[i] for i in used), values=values[:, used])
+    return replace(capture, columns=tuple(columns), values=values).of_columns(used)
 
 
 def _stem_and_unit(column: CapturedColumn) -> tuple[str, str]:

@@ -24,14 +24,13 @@ from cell.study.entries import (
     SectionPart,
     TrialName,
 )
-from cell.study.hand_drift import HandDriftSection, drift_complaint
-from cell.study.imports.capture import Capture
+from cell.study.hand_drift import HandDrift, drift_complaint
+from cell.study.imports.capture import Capture, TextForm
 from cell.study.imports.gripper_section import (
     AxesSection,
     Columns,
     GripperSection,
     Name,
-    TextSection,
     TimeSection,
     entries_to_fill_in,
     gripper_complaints,
@@ -107,15 +106,15 @@ class TrialEntry(SectionPart):
     file: Name
     joined_files: tuple[Name, ...] = ()
     hand_file: Name | None = None
-    text: TextSection | None = None
-    hand_text: TextSection | None = None
+    text: TextForm | None = None
+    hand_text: TextForm | None = None
     seconds_per_unit: Positive | None = None
     hand_seconds_per_unit: Positive | None = None
     only: dict[str, Finite | Name] = Field(default_factory=dict)
     clock_offset_s: Finite = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None
-    hand_drift: HandDriftSection | None = None
+    hand_drift: HandDrift | None = None
     role: Literal["fit", "validate"] = "fit"
     start: Start = "equilibrium"
     release_s: Finite | None = None
@@ -132,7 +131,7 @@ class Mapping(SectionPart):
     cable: CableSection
     gravity_m_per_s2: tuple[Finite, Finite] = (0.0, -9.81)
     noise_std_m: Positive | None = None
-    text: TextSection | None = None
+    text: TextForm | None = None
     time: TimeSection
     frames: Name | None = None
     metres_per_unit: Positive | None
@@ -267,7 +266,6 @@ def _axes(mapping: Mapping) -> list[Complaint]:
 
 
 def _nearest_axis(vector: np.ndarray) -> list[float]:
-    """The axis that a vector is nearest to."""
     nearest = np.zeros(len(vector))
     largest = int(np.argmax(np.abs(vector)))
     nearest[largest] = np.sign(vector[largest]) or 1.0

@@ -113,7 +113,6 @@ def _in_sequence(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[tuple
 
 
 def _factories() -> list[Any]:
-    """Decoder factories of the installed libraries."""
     factories: list[Any] = []
     for library in ("mcap_ros2", "mcap_protobuf"):
         with suppress(ImportError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,13 +27,6 @@ _PLANAR = 10.0
 _LETTERS = "XYZ"
 
 
-@dataclass(frozen=True)
-class _Up:
-    direction: FloatArray
-    sure: Sure
-    why: str
-
-
 def find_axes(
     places: FloatArray, shape: FloatArray, others: Sequence[FloatArray] = ()
 ) -> tuple[AxesSection, ImportFindings]:
@@ -47,15 +39,15 @@ def find_axes(
     normal, depth = _normal(places)
     if normal is not None:
         shape, *others = (s - np.outer(s @ normal, normal) for s in (shape, *others))
-    up = _up(shape, others, normal)
-    right, remark = _right(places, shape, normal, up.direction)
+    up, sure, why = _up(shape, others, normal)
+    right, remark = _right(places, shape, normal, up)
     findings = ImportFindings()
     if normal is not None:
         findings.shown("axes", f"the motion is in one plane, {depth:.2g} of its size out of it")
-    findings.append(Finding("axes.up", f"up is {_words(up.direction)}: {up.why}", up.sure))
+    findings.append(Finding("axes.up", f"up is {_words(up)}: {why}", sure))
     sentence = f"right is {_words(right)}: so the cable leaves the gripper to the left{remark}"
     findings.shown("axes.right", sentence)
-    plain = [[round(float(v), 7) + 0.0 for v in d] for d in (right, up.direction)]
+    plain = [[round(float(v), 7) + 0.0 for v in d] for d in (right, up)]
     return AxesSection(right=plain[0], up=plain[1]), findings
 
 
@@ -76,8 +68,10 @@ def _normal(places: FloatArray) -> tuple[FloatArray | None, float]:
     return directions[2], float(sizes[2] / sizes[0])
 
 
-def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | None) -> _Up:
-    """Direction of up: the file axis against which the cable bends from its clamp on."""
+def _up(
+    shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | None
+) -> tuple[FloatArray, Sure, str]:
+    """Up: the file axis against which the cable bends from its clamp on; how sure, and why."""
     dimensions = shape.shape[1]
     axes = list(range(dimensions))
     if normal is not None:  # if the plane is oblique to all axes, the one nearest to it
@@ -92,14 +86,14 @@ def _up(shape: FloatArray, others: Sequence[FloatArray], normal: FloatArray | No
         chord = shape[-1] - shape[0]
         if abs(chord[default]) > _HANGING * float(np.linalg.norm(chord)):
             direction[default] = -np.sign(chord[default])
-            return _Up(direction, Sure.GUESSED, "the cable, straight at rest, hangs along it")
-        return _Up(direction, Sure.GUESSED, "the usual one, for the cable is straight at rest")
+            return direction, Sure.GUESSED, "the cable, straight at rest, hangs along it"
+        return direction, Sure.GUESSED, "the usual one, for the cable is straight at rest"
     if chosen != default and size[chosen] < _RATIO * size[default]:
         chosen = default
     direction = np.zeros(dimensions)
     direction[chosen] = -np.sign(mean_bend[chosen])
     sure = Sure.SHOWN if chosen == default else Sure.GUESSED
-    return _Up(direction, sure, "at rest the cable bends the other way, as gravity does it")
+    return direction, sure, "at rest the cable bends the other way, as gravity does it"
 
 
 def _right(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,19 @@ from cell.study.imports.containers import (
     is_text_of_arrays,
     read_container,
 )
-from cell.study.imports.contents import without_unsure
 from cell.study.imports.delimited import read_delimited
 from cell.study.imports.documents import CORNERS, FEWEST_RECORDS, cells, is_xml, read_document
 from cell.study.imports.groups import split_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
-from cell.study.imports.repairs import repaired, without_codes, without_held, without_hidden
+from cell.study.imports.repairs import (
+    in_millimetres,
+    with_one_unit,
+    with_whole_tracks,
+    without_codes,
+    without_held,
+    without_unseen,
+)
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
 from cell.study.imports.text_content import is_text, text_of
@@ -233,9 +240,21 @@ def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | 
     return _cleaned(delimited.read_frames(paths, numbers, form))
 
 
+#: Repairs of a file, in their order; each adds a note of what it changes.
+_REPAIRS = (
+    without_codes,
+    one_row_per_time,
+    without_unseen,
+    without_held,
+    in_millimetres,
+    with_one_unit,
+    with_whole_tracks,
+    with_quaternions,
+)
+
+
 def _cleaned(capture: Capture) -> Capture:
-    cleaned = without_hidden(without_unsure(one_row_per_time(without_codes(capture))))
-    return with_quaternions(repaired(without_held(cleaned)))
+    return reduce(lambda cleaned, repair: repair(cleaned), _REPAIRS, capture)
 
 
 def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:

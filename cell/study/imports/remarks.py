@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import NOT_SEEN, CapturedColumn, Decimal, is_number
+from cell.study.imports.capture import NOT_SEEN, CapturedColumn, Decimal
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.text_rows import WITH_UNIT, Row
+from cell.study.imports.text_rows import WITH_UNIT, Row, unit_behind
 from cell.study.imports.units import METRES, RADIANS, SECONDS, unit_of
 
 _Lines = Sequence[tuple[int, tuple[str, ...]]]
@@ -107,7 +107,6 @@ def without_units(
 
 
 def _unit_behind(cell: str, decimal: Decimal) -> str:
-    """The unit after a number; empty = there is none."""
-    match = WITH_UNIT.fullmatch(cell.strip())
-    unit = unit_of(match[2]) if match and is_number(match[1], decimal) else ""
+    """The unit of time, length or angle after a number; empty = there is none."""
+    unit = unit_behind(cell, decimal)
     return unit if unit in (*METRES, *SECONDS, *RADIANS) else ""

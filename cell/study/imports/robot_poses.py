@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -69,11 +68,7 @@ def with_quaternions(capture: Capture) -> Capture:
             chosen = [parts[word] for word in angle_words.split()]
             values = _quaternions(capture, chosen, default, rotation)
             names = [f"{stem} quaternion {axis}".strip() for axis in "xyzw"]
-            capture = replace(
-                capture,
-                columns=(*capture.columns, *(CapturedColumn(name) for name in names)),
-                values=np.hstack([capture.values, values]),
-            )
+            capture = capture.with_columns([CapturedColumn(name) for name in names], values)
     return capture
 
 
@@ -103,11 +98,7 @@ def _with_matrix(capture: Capture, stem: str, parts: list[CapturedColumn]) -> Ca
         unit = parts[_PLACE[0]].unit or "m"
         columns += [CapturedColumn(f"{body} position {axis}", unit) for axis in "xyz"]
         added.append(values[:, _PLACE])
-    return replace(
-        capture,
-        columns=(*capture.columns, *columns),
-        values=np.hstack([capture.values, *added]),
-    )
+    return capture.with_columns(columns, np.hstack(added))
 
 
 def _quaternions(

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import Capture, CapturedColumn
 
 #: Words for a trial, alone or with a word for a number.
@@ -49,11 +50,13 @@ def with_words(capture: Capture, name: str, words: Sequence[str]) -> Capture:
     """Add a first column of words, one per row."""
     unique = list(dict.fromkeys(words))
     codes = np.array([unique.index(word) for word in words], dtype=np.float64)
-    return replace(
-        capture,
-        columns=(CapturedColumn(name, words=tuple(unique)), *capture.columns),
-        values=np.column_stack([codes, capture.values]),
-    )
+    return with_first(capture, CapturedColumn(name, words=tuple(unique)), codes)
+
+
+def with_first(capture: Capture, column: CapturedColumn, values: FloatArray) -> Capture:
+    """Add a first column with its values (rows,)."""
+    values = np.column_stack([values, capture.values])
+    return replace(capture, columns=(column, *capture.columns), values=values)
 
 
 def rows_of(capture: Capture, only: Mapping[str, TrialLabel]) -> Capture:
@@ -69,12 +72,8 @@ def rows_of(capture: Capture, only: Mapping[str, TrialLabel]) -> Capture:
         text = " and ".join(f"{name} {label_text(value)}" for name, value in criteria.items())
         raise capture.error(0, f"has no row with {text}; correct `only` of the trial")
     others = [i for i, name in enumerate(capture.names) if name not in criteria]
-    return replace(
-        capture,
-        columns=tuple(capture.columns[i] for i in others),
-        values=capture.values[np.ix_(np.flatnonzero(rows), np.array(others))],
-        lines=capture.lines[rows],
-    )
+    selected = replace(capture, values=capture.values[rows], lines=capture.lines[rows])
+    return selected.of_columns(others)
 
 
 def label_text(label: TrialLabel) -> str:
@@ -83,7 +82,6 @@ def label_text(label: TrialLabel) -> str:
 
 
 def _matches(capture: Capture, name: str, label: TrialLabel) -> NDArray[np.bool_]:
-    """(rows,) whether a column has a value."""
     words = [*capture.words(name), label] if capture.words(name) else []
     value = words.index(label) if words else label
     return np.asarray(capture.column(name) == value)

@@ -164,7 +164,6 @@ def _by_duration(span: float, lasts_s: float) -> tuple[float, Sure, str] | None:
 
 
 def _plausible(span_m: float, free_length_m: float | None) -> bool:
-    """Whether a span of markers is plausible for a cable; if not, the unit is wrong."""
     if free_length_m is None:
         return _SHORTEST_M <= span_m <= MAX_LENGTH_M
     return free_length_m / WRONG_UNIT < span_m < free_length_m * WRONG_UNIT

@@ -135,7 +135,9 @@ def arc_lengths(places: FloatArray, ends: Ends = "not-a-knot") -> FloatArray:
 def _lengths(shape: FloatArray, ends: Ends) -> FloatArray:
     """Arc lengths of points (points, d) along a cubic spline through them."""
     chords = _chords(shape)
-    distinct = _distinct(chords)
+    # Between coincident points, such as gripper and first marker, a curve would follow noise.
+    usual = float(np.median(np.diff(chords))) if len(chords) > 1 else 0.0
+    distinct = _distinct(chords, _COINCIDENT * usual)
     knots = chords[distinct]
     fine = np.concatenate(
         [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(knots)] + [knots[-1:]]
@@ -146,15 +148,14 @@ def _lengths(shape: FloatArray, ends: Ends) -> FloatArray:
     return np.asarray(np.interp(chords, knots, lengths))
 
 
-def _distinct(arcs: FloatArray) -> list[int]:
-    """Indices of points that do not coincide with the one before, by cumulative chord lengths.
+def _distinct(arcs: FloatArray, least: float) -> list[int]:
+    """Indices of points that are farther than `least` from the one before, and the last one.
 
-    Between coincident points, such as gripper and first marker, a curve would follow noise.
+    arcs  (points,) cumulative chord lengths
     """
-    minimum = _COINCIDENT * float(np.median(np.diff(arcs))) if len(arcs) > 1 else 0.0
     indices = [0]
     for i in range(1, len(arcs)):
-        if arcs[i] - arcs[indices[-1]] > minimum:
+        if arcs[i] - arcs[indices[-1]] > least:
             indices.append(i)
     return indices if indices[-1] == len(arcs) - 1 else [*(indices[:-1] or indices), len(arcs) - 1]
 
@@ -174,13 +175,7 @@ def distinct_points(shape: FloatArray) -> FloatArray:
     direction is noise.  The last point is always included.
     """
     lengths = _chords(shape)
-    indices = [0]
-    for i in range(1, len(shape)):
-        if lengths[i] - lengths[indices[-1]] > AWAY * lengths[-1]:
-            indices.append(i)
-    if indices[-1] != len(shape) - 1:
-        indices = [*(indices[:-1] if len(indices) > 1 else indices), len(shape) - 1]
-    return shape[indices]
+    return shape[_distinct(lengths, AWAY * float(lengths[-1]))]
 
 
 def bend(shape: FloatArray) -> FloatArray:

@@ -43,8 +43,8 @@ def read_sheet(path: Path, title: str) -> Capture:
     best = title or _with_most_points(tables)
     skipped = ", ".join(repr(name) for name in tables if name != best)
     note = f"{path}: sheet {best!r} is read, not {skipped}"
-    notes = (*tables[best].notes, note) if skipped and not title else tables[best].notes
-    return replace(tables[best], path=with_part(path, title), notes=notes)
+    table = tables[best].noted(note) if skipped and not title else tables[best]
+    return replace(table, path=with_part(path, title))
 
 
 def _with_most_points(tables: Mapping[str, Capture]) -> str:
@@ -125,8 +125,9 @@ def _is_of_gripper(inside: Contents) -> bool:
 
 def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
     """Table from the first row with two numbers, and at least as many numbers as words."""
-    first = next((i for i, row in enumerate(rows[:_MAX_HEADER]) if _begins_table(row)), None)
-    if first is None:
+    numbers = [sum(is_number(cell, ".") for cell in row.cells) for row in rows[:_MAX_HEADER]]
+    tables = (i for i, count in enumerate(numbers) if count >= 2 and rows[i].is_data("."))
+    if (first := next(tables, None)) is None:
         return None
     width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
     for row in rows[:first]:
@@ -138,10 +139,6 @@ def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
     header = read_header(path, above, table[0].cells)
     capture, labels = captured(path, header, table, ".")
     return pivoted(replace(capture, notes=(*capture.notes, *below)), labels)
-
-
-def _begins_table(row: Row) -> bool:
-    return row.is_data(".") and sum(is_number(cell, ".") for cell in row.cells) >= 2
 
 
 def cell_text(cell: object) -> str:

@@ -25,7 +25,7 @@ def text_form(text: str) -> TextForm:
     """Separator and decimal mark under which most of a text is numbers in rows of equal width."""
     lines = _sample(text)
     there = [s for s in SEPARATORS if s == " " or any(s in line for line in lines)]
-    forms = [TextForm(separator, decimal) for separator in there for decimal in DECIMALS]
+    forms = [TextForm(separator=s, decimal=d) for s in there for d in DECIMALS]
     return max(forms, key=lambda f: _numbers(lines, f) * (_BLANKS if f.separator == " " else 1.0))
 
 

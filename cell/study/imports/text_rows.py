@@ -42,7 +42,9 @@ class Row:
 
     def is_data(self, decimal: Decimal) -> bool:
         """Whether it holds a number, and at least as many numbers as words."""
-        return is_data(self.cells, decimal)
+        filled = [c for c in self.cells if c.strip().lower() not in NOT_SEEN]
+        values = [c for c in filled if is_number(c, decimal) or unit_behind(c, decimal)]
+        return bool(filled) and 2 * len(values) >= len(filled)
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -80,17 +82,10 @@ def _between_blanks(lines: Sequence[str]) -> list[Row]:
     return [Row(i, tuple(cells)) for i, cells in enumerate(rows, 1)]
 
 
-def is_data(cells: Sequence[str], decimal: Decimal) -> bool:
-    """As `Row.is_data`, of some cells."""
-    filled = [c for c in cells if c.strip().lower() not in NOT_SEEN]
-    return bool(filled) and 2 * sum(_is_value(c, decimal) for c in filled) >= len(filled)
-
-
-def _is_value(cell: str, decimal: Decimal) -> bool:
-    if is_number(cell, decimal):
-        return True
+def unit_behind(cell: str, decimal: Decimal) -> str:
+    """The unit after a number; empty = there is none."""
     match = WITH_UNIT.fullmatch(cell.strip())
-    return match is not None and is_number(match[1], decimal) and bool(unit_of(match[2]))
+    return unit_of(match[2]) if match and is_number(match[1], decimal) else ""
 
 
 def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
@@ -118,7 +113,7 @@ def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row
     named = wide and all(
         row.cells[0].strip() and not is_number(row.cells[0], decimal) for row in filled
     )
-    if not named or not all(is_data(row.cells[1:], decimal) for row in filled):
+    if not named or not all(Row(row.line, row.cells[1:]).is_data(decimal) for row in filled):
         return list(rows), []
     note = f"{path}: its lines are series, each behind its name; they are read as columns"
     columns = zip(*(row.cells for row in filled), strict=True)

@@ -48,7 +48,7 @@ def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
     places[track[numbered], frames[numbered]] = capture.values[numbered][:, [axes["x"], axes["y"]]]
     if np.isfinite(places[..., 0]).sum() < numbered.sum():  # two rows of one track at one time
         return capture, all_rows
-    heads = _joined_tracks(places)
+    heads = joined_tracks(places, _MAX_LOST)
     for i, first in enumerate(heads):
         if first != i:
             places[first] = np.where(np.isfinite(places[i]), places[i], places[first])
@@ -71,23 +71,28 @@ def along_cable(capture: Capture, time: int) -> tuple[Capture, Sequence[int]]:
         f"; those that go on under another number are joined: {first_of(pairs, 8)}" if pairs else ""
     )
     note += f"; {dropped} rows of no track, or of one that is short or still, are left out"
-    result = replace(capture, values=values[rows], lines=capture.lines[rows])
-    return replace(result, notes=(*capture.notes, note)), np.flatnonzero(rows).tolist()
+    result = replace(capture, values=values[rows], lines=capture.lines[rows]).noted(note)
+    return result, np.flatnonzero(rows).tolist()
 
 
-def _joined_tracks(places: FloatArray) -> list[int]:
+def joined_tracks(
+    places: FloatArray, most_lost: int, families: Sequence[str] | None = None
+) -> list[int]:
     """Index of the first track that each track continues; its own index if it continues none.
 
-    places  (tracks, frames, 2), nan = not seen
+    places     (tracks, frames, d), nan = not seen
+    most_lost  maximum frames between the end of a track and its continuation
+    families   of the tracks: only those of one family continue each other; None = all are of one
     """
-    visible = np.isfinite(places[..., 0])
+    visible = np.asarray(np.isfinite(places).all(axis=2))
     begins, ends = visible.argmax(axis=1), visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
     heads = list(range(len(places)))
     continued: set[int] = set()
     for new in np.argsort(begins, kind="stable").tolist():
         gaps = begins[new] - ends
-        ended = np.flatnonzero((gaps > 0) & (gaps <= _MAX_LOST)).tolist()
-        old = [o for o in ended if o not in continued]
+        ended = np.flatnonzero((gaps > 0) & (gaps <= most_lost)).tolist()
+        old = [o for o in ended if o not in continued
+               and (families is None or families[o] == families[new])]  # fmt: skip
         distances = {o: _distance(places, o, new, int(ends[o]), int(begins[new])) for o in old}
         others = [o for o in np.flatnonzero(visible[:, begins[new]]).tolist() if o != new]
         if not distances or not others:
@@ -106,5 +111,5 @@ def _distance(places: FloatArray, old: int, new: int, end: int, start: int) -> f
     distances[old] = np.nan
     visible = np.flatnonzero(np.isfinite(distances) & np.isfinite(places[:, start, 0]))
     nearest = visible[np.argmin(distances[visible])] if len(visible) else old
-    moved = places[nearest, start] - places[nearest, end] if len(visible) else np.zeros(2)
+    moved = places[nearest, start] - places[nearest, end] if len(visible) else 0.0
     return float(np.linalg.norm(places[old, end] + moved - places[new, start]))

@@ -87,19 +87,13 @@ def _of_motions(
     labels = [files[group[0]].stem for group in groups]
     names = unique_names([f.name for f in folders] if by_folder else labels)
     trials = []
-    for number, (group, capture) in enumerate(zip(groups, merged, strict=True)):
+    hand_of: Sequence[Path | None] = hands or [None] * len(groups)
+    for name, group, capture, hand in zip(names, groups, merged, hand_of, strict=True):
         first, *others = (named(files[i]) for i in group)
-        gripper = hands[number] if hands else None
-        trials.append(
-            Files(
-                names[number],
-                first,
-                capture,
-                None if gripper is None else named(gripper),
-                None if gripper is None else read(gripper),
-                tuple(others),
-            )
-        )
+        files_of = Files(name, first, capture, joined_files=tuple(others))
+        if hand is not None:
+            files_of = replace(files_of, gripper_file=named(hand), gripper=read(hand))
+        trials.append(files_of)
     return trials
 
 

@@ -17,7 +17,7 @@ from cell.study.imports.capture import Capture, ImportFindings, Sure
 from cell.study.imports.contents import Point, contents
 from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_path import interpolated
-from cell.study.imports.gripper_section import TextSection, TimeSection
+from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import clamp_angle_rad, places_m
@@ -106,8 +106,7 @@ def _overrides(
     if files.gripper is not None:
         sources.append(("hand_", files.gripper, hand.text, hand.time or mapping.time, None))
     for prefix, capture, text, time, stated_hz in sources:
-        form = TextSection.of(capture)
-        if form != text and form is not None:
+        if (form := capture.form) is not None and form != text:
             overrides[f"{prefix}text"] = form
             sentence = f"{capture.path.name}: cells are separated by {form.separator!r}, "
             findings.shown("trials.text", f"{sentence}the decimal mark is {form.decimal!r}")
@@ -262,7 +261,6 @@ def _markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
 
 
 def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
-    """The gripper's path, where it is known."""
     section, source = mapping.hand, files.gripper or files.capture
     assert section.columns is not None  # a proposal has no fixed gripper
     t_s, _ = _times_s(files, mapping)

@@ -32,7 +32,6 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
-    TextSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -50,7 +49,7 @@ from cell.study.imports.plane_chain import (
 )
 from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
 from cell.study.imports.shape import arc_lengths, rest_rows
-from cell.study.imports.stated import Stated, with_files
+from cell.study.imports.stated import OF_CABLE, Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
 from cell.study.imports.trials import Files, origin_by_clamp, stroke_gain, trial_entries
 from cell.study.imports.units import METRES
@@ -157,7 +156,7 @@ def _proposed(
         format=FORMAT,
         name=stated.name,
         cable=_cable(stated, arcs),
-        text=TextSection.of(first.capture),
+        text=first.capture.form,
         time=time,
         metres_per_unit=scale,
         lost=chosen.lost,
@@ -183,7 +182,6 @@ def _proposed(
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
-    """Add a finding on files that are joined to a trial's first."""
     if files.joined_files:
         joined = first_of([Path(name).name for name in files.joined_files], 8)
         sentence = f"{Path(files.file).name} and {joined} are of one recording: "
@@ -191,7 +189,6 @@ def _add_joined(files: Files, findings: ImportFindings) -> None:
 
 
 def _trial(files: Files) -> TrialEntry:
-    """Entry of a trial, with its files alone."""
     return TrialEntry(
         name=files.name,
         file=files.file,
@@ -292,13 +289,8 @@ def _arc_stds(
 
 
 def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
-    return CableSection(
-        free_length_m=stated.free_length_m or arcs[-1],
-        line_density_kg_per_m=stated.line_density_kg_per_m,
-        width_m=stated.width_m,
-        thickness_m=stated.thickness_m,
-        diameter_m=stated.diameter_m,
-    )
+    known = {name: getattr(stated, name) for name in OF_CABLE}
+    return CableSection(**known | {"free_length_m": stated.free_length_m or arcs[-1]})
 
 
 def _gripper(
@@ -417,7 +409,6 @@ def _moved(
 
 
 def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
-    """Add findings on the cable's parameters that no file of positions shows."""
     cable = mapping.cable
     if cable.line_density_kg_per_m is None:
         sentence = "give cable.line_density_kg_per_m, or --line-density: the mass of a piece "
@@ -434,7 +425,6 @@ def _add_unused(
     capture: Capture,
     findings: ImportFindings,
 ) -> None:
-    """Add a finding on columns that are not used."""
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
     used = {n for p in points if p is not None for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)

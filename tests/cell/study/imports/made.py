@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from typer.testing import CliRunner
 
 from cell.cli import app
@@ -77,6 +79,18 @@ def imported(arguments: list[str], folder: Path) -> Study:
     assert (folder / "preview.html").exists()
     run(folder / "import.yaml")
     return read_study(folder)
+
+
+def filled(mapping: Path, entries: Mapping[str, Any]) -> None:
+    """Write entries of a mapping, by their dotted keys."""
+    content = yaml.safe_load(mapping.read_text())
+    for key, value in entries.items():
+        *sections, name = key.split(".")
+        place = content
+        for section in sections:
+            place = place[int(section) if section.isdecimal() else section]
+        place[name] = value
+    mapping.write_text(yaml.safe_dump(content))
 
 
 def _wide(m: Swing) -> np.ndarray:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from cell.study.folder import read_study
 from cell.study.imports.alignment import GripperTrack, align, align_root
@@ -15,7 +14,7 @@ from tests.cell.study.imports.corpus.swing import ARCS_M, Swing, straight_study,
 from tests.cell.study.imports.corpus.text import cells as digits
 from tests.cell.study.imports.corpus.text import lines as text
 from tests.cell.study.imports.corpus.text import saved
-from tests.cell.study.imports.made import CABLE, run
+from tests.cell.study.imports.made import CABLE, filled, run
 
 #: The robot's clock is behind by this, and its base is here, in the markers' frame.
 BEHIND_S, BASE_M = 8569.0312, np.array([0.4, -0.2])
@@ -79,18 +78,13 @@ def test_a_stale_origin_is_refused_and_null_estimates_it(tmp_path: Path) -> None
     files = camera(s, tmp_path, "_mm", 1e3, clamp=False), robot(s, tmp_path, "_m", 1.0, 0.0)
     _, mapping = proposed(tmp_path, *files)
     right = np.array(mapping.hand.origin_m)
-    file, yaml = tmp_path / "s" / "import.yaml", YAML(typ="safe")
-    data = yaml.load(file.read_text())
+    file = tmp_path / "s" / "import.yaml"
     for stale in ((right + np.array([-0.019, 0.004])).tolist(), [0.0, 0.0]):
-        data["hand"]["origin_m"] = stale
-        with file.open("w") as stream:
-            yaml.dump(data, stream)
+        filled(file, {"hand.origin_m": stale})
         said = run(file, code=2)
         assert "hand.origin_m: puts the gripper of camera at [" in said
         assert "give null to have it estimated" in said
-    data["hand"]["origin_m"] = None
-    with file.open("w") as stream:
-        yaml.dump(data, stream)
+    filled(file, {"hand.origin_m": None})
     assert "hand.origin_m is estimated as [" in run(file)
     grip = read_study(tmp_path / "s").trials[0].grip
     np.testing.assert_allclose([grip.x_m[0], grip.y_m[0]], [0.3, 0.3], atol=2e-3)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from cell.files.input_error import InputError
 from cell.study.data import Study
@@ -22,7 +21,7 @@ from cell.study.imports.write import mapping_text
 
 from .corpus.entries import CORPUS, Entry
 from .corpus.swing import ARCS_M, LENGTH_M, Swing
-from .made import ANGLE_RAD, check_same
+from .made import ANGLE_RAD, check_same, filled
 
 #: Of places beyond what a file's digits leave open, m.
 PLACE_M = 1e-6
@@ -49,14 +48,7 @@ def study_from(
     proposal = out / FILE
     proposal.write_text(mapping_text(understood.mapping, understood.findings, "cell import"))
     if edits:
-        content = yaml.safe_load(proposal.read_text())
-        for path, value in edits.items():
-            section: Any = content
-            *keys, last = path.split(".")
-            for key in keys:
-                section = section[int(key) if key.isdigit() else key]
-            section[last] = value
-        proposal.write_text(yaml.safe_dump(content))
+        filled(proposal, edits)
     read = read_mapping(proposal)
     doubts = [f for f in understood.findings if f.sure in (Sure.GUESSED, Sure.MISSING)]
     said = " ".join(f"{f.entry}: {f.sentence}" for f in doubts)

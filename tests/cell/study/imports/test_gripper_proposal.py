@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from cell.study.data import Study
 from cell.study.folder import read_study
 from tests.cell.study.imports.corpus.swing import BEGINS_S, ENDS_S, RATE_HZ, Swing, stroke, swing
 from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
 from tests.cell.study.imports.corpus.text import saved
-from tests.cell.study.imports.made import CABLE, NOISE_M, digits, run, text
+from tests.cell.study.imports.made import CABLE, NOISE_M, digits, filled, run, text
 
 AXLE_M, RADIUS_M, COUNTS = (0.05, 0.1), 0.12, 65536
 MOVED_S = ENDS_S - BEGINS_S
@@ -65,20 +64,6 @@ def sensor_file(
     values = np.column_stack([t, shown / (9.80665 if unit == "g" else 1.0), np.degrees(angle)])
     names = ["time [s]", f"acc_x [{unit}]", f"acc_y [{unit}]", "clamp_angle [deg]"]
     return saved(folder / "sensor.csv", text([names, *digits(values, 9)]))
-
-
-def filled(mapping: Path, entries: dict[str, Any]) -> None:
-    """Write entries of the mapping, by their dotted keys."""
-    yaml = YAML(typ="safe")
-    data = yaml.load(mapping.read_text())
-    for key, value in entries.items():
-        *sections, name = key.split(".")
-        place = data
-        for section in sections:
-            place = place[int(section) if section.isdecimal() else section]
-        place[name] = value
-    with mapping.open("w") as stream:
-        yaml.dump(data, stream)
 
 
 def hand_of(study: Study) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

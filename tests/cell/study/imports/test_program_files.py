@@ -134,11 +134,14 @@ def json_document(m: Swing, folder: Path) -> list[str]:
     return _saved([json.dumps({"rate": 200, "run": {"frames": frames}})], folder / "track.json")
 
 
+def _series_of(m: Swing, folder: Path) -> dict[str, list[float]]:
+    """Columns of the plain table."""
+    head, *rows = (line.split(",") for line in _lines(m, folder))
+    return {n: [float(r[i]) for r in rows] for i, n in enumerate(head)}
+
+
 def json_columns(m: Swing, folder: Path) -> list[str]:
-    (name,) = wide_metres(m, folder)
-    head, *rows = (line.split(",") for line in Path(name).read_text().splitlines())
-    columns = {n: [float(r[i]) for r in rows] for i, n in enumerate(head)}
-    return _saved([json.dumps(columns)], folder / "columns.json")
+    return _saved([json.dumps(_series_of(m, folder))], folder / "columns.json")
 
 
 def json_tree(m: Swing, folder: Path) -> list[str]:
@@ -155,10 +158,7 @@ def feather(m: Swing, folder: Path) -> list[str]:
     arrow = pytest.importorskip("pyarrow")
     from pyarrow.feather import write_feather
 
-    (name,) = wide_metres(m, folder)
-    head, *rows = (line.split(",") for line in Path(name).read_text().splitlines())
-    columns = {n: [float(r[i]) for r in rows] for i, n in enumerate(head)}
-    write_feather(arrow.table(columns), folder / "run.feather")
+    write_feather(arrow.table(_series_of(m, folder)), folder / "run.feather")
     return [str(folder / "run.feather")]
 
 
