@@ -165,7 +165,7 @@ def _check_pictures(folder: Path) -> None:
 
 def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoReturn:
     """Recordings of this program need no mapping."""
-    from cell.lab.data.merge_studies import merge_into
+    from cell.lab.data.cycles import merge_into
 
     with refusing(options.as_json, force=options.force), working("import"), ExitStack() as stack:
         out = _folder(options)

@@ -18,7 +18,7 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.computer.watched import must_end
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.words import error_text
 from cell.lab.data.results import CheckResult, Doubt, Verdict
 from cell.study.data import Trial
@@ -190,17 +190,15 @@ class OwnCheck:
             with must_end(f"{self.file}:{self.line}: statistic"):
                 value = float(self.statistic(residuals))
         except Exception as error:
-            frames = traceback.extract_tb(error.__traceback__)
-            lines = [f.lineno for f in frames if Path(f.filename) == self.file]
-            line = (lines[-1] if lines else None) or self.line
+            line = _line_in(self.file, error) or self.line
             message = f"{error_text(error)}; mend that"
-            raise InputError([Problem(self.file, line, None, "statistic", message)]) from error
+            raise InputError.at(self.file, message, line=line, key="statistic") from error
         if not np.isfinite(value):
             message = (
                 f"gives {value}; give a number for every study, and mind nan where a marker was "
                 "not seen (np.nanmean …)"
             )
-            raise InputError([Problem(self.file, self.line, None, "statistic", message)])
+            raise InputError.at(self.file, message, line=self.line, key="statistic")
         return value
 
 
@@ -215,7 +213,8 @@ def read_own_checks(paths: Sequence[Path | str], existing: Sequence[str] = ()) -
     for path in paths:
         check = _read(Path(path))
         if check.name in (*existing, *(c.name for c in checks)):
-            _refuse(check.file, 1, "name", f"{check.name!r} is taken; rename the file")
+            message = f"{check.name!r} is taken; rename the file"
+            raise InputError.at(check.file, message, key="name")
         checks.append(check)
     return checks
 
@@ -224,40 +223,39 @@ def _read(path: Path) -> OwnCheck:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; give a Python file with a check")
     if path.suffix != ".py" or path.stat().st_size > MAX_BYTES:
-        _refuse(path, 1, "file", f"must be a Python file (.py) of up to {MAX_BYTES} bytes")
+        message = f"must be a Python file (.py) of up to {MAX_BYTES} bytes"
+        raise InputError.at(path, message, key="file")
     try:
         source = path.read_text(encoding="utf-8")
         tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        line = getattr(error, "lineno", None) or 1
-        _refuse(path, line, "file", f"is not Python: {error_text(error)}; mend that")
+        line, message = getattr(error, "lineno", None) or 1, f"is not Python: {error_text(error)}"
+        raise InputError.at(path, f"{message}; mend that", line=line, key="file") from error
     question = (ast.get_docstring(tree) or "").strip().splitlines()
     defined = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == "statistic"]
     if not question or not question[0].endswith("?"):
-        _refuse(path, 1, "docstring", 'must ask a question; begin the file with """Is …?"""')
+        message = 'must ask a question; begin the file with """Is …?"""'
+        raise InputError.at(path, message, key="docstring")
     if len(defined) != 1:
-        _refuse(path, 1, "statistic", "is missing; write a function `statistic(residuals)`")
+        message = "is missing; write a function `statistic(residuals)`"
+        raise InputError.at(path, message, key="statistic")
     return _made(path.stem, question[0], path, defined[0].lineno, source)
 
 
 def _made(name: str, question: str, path: Path, line: int, source: str) -> OwnCheck:
-    """The check of a file with this source."""
-    return OwnCheck(name, question, path, line, _run(path, source).statistic, source)
-
-
-def _run(path: Path, source: str) -> Any:
+    """The check of a file with this source, which is run."""
     module = ModuleType(f"own_check_{path.stem}")
     module.__file__ = str(path)
     try:
         with must_end(f"{path}:1: its module"):
             exec(compile(source, str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
-                 if Path(f.filename) == path]  # fmt: skip
-        line = (lines[-1] if lines else None) or 1
-        _refuse(path, line, "file", f"{error_text(error)}; mend that")
-    return module
+        message = f"{error_text(error)}; mend that"
+        raise InputError.at(path, message, line=_line_in(path, error) or 1, key="file") from error
+    return OwnCheck(name, question, path, line, module.statistic, source)
 
 
-def _refuse(path: Path, line: int, key: str, message: str) -> None:
-    raise InputError([Problem(path, line, None, key, message)])
+def _line_in(file: Path, error: BaseException) -> int | None:
+    """The innermost line of a file in the traceback of an error."""
+    frames = reversed(traceback.extract_tb(error.__traceback__))
+    return next((f.lineno for f in frames if Path(f.filename) == file), None)

@@ -181,10 +181,9 @@ def learn(
 
 def _learned(space: CablesSpace, known: Callable[[LearningResult], None]) -> LearningResult:
     """The effects that the present model of some cables lacks."""
-    if (shifted := along_lines(space.fit_without_effects().baseline)) is not None:
+    if (shifted := along_lines(space.without_effects.baseline)) is not None:
         space = replace(space, prepared=tuple(shifted))
-    without_effects = result = space.fit_without_effects()
-    known(without_effects)
+    known(without_effects := space.without_effects)
     if negligible(without_effects.baseline):
         return without_effects
     for step, (result,) in enumerate(levels(without_effects, space.extended, space.select)):
@@ -205,10 +204,10 @@ def negligible(fit: SharedFit) -> bool:
     """
     if fit.rms_m**2 - fit.noise_m**2 >= NEGLIGIBLE_M**2:
         return False
-    return end_offset_p_value(fit) < CHANCE
+    return end_offset_stds(fit) < CHANCE
 
 
-def end_offset_p_value(fit: SharedFit) -> float:
+def end_offset_stds(fit: SharedFit) -> float:
     """Mean offset of detected from predicted cable ends, along the cable, in its own std."""
     offset_m = fit.end_offset_m
     return abs(float(offset_m.mean())) * float(np.sqrt(len(offset_m))) / fit.end_std_m

@@ -21,7 +21,7 @@ from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair
-from cell.lab.line.learn import CHANCE, end_offset_p_value
+from cell.lab.line.learn import CHANCE, end_offset_stds
 from cell.plan.destination import Destination
 
 #: Fewest forecasts for a rank test; with fewer none may become worse by more than noise.
@@ -107,7 +107,7 @@ def error_ratio(evidence: LineEvidence) -> Reading | None:
 
 def ends_beyond(evidence: LineEvidence) -> Reading | None:
     """Mean offset of detected from predicted ends, along the cable, in standard deviations."""
-    return Reading(end_offset_p_value(evidence.fit))
+    return Reading(end_offset_stds(evidence.fit))
 
 
 def most_tied(evidence: LineEvidence) -> Reading | None:
@@ -138,16 +138,14 @@ def _enough(evidence: LineEvidence) -> bool:
 
 
 def gain_p_value(evidence: LineEvidence) -> Reading | None:
-    """p-value of the improvement of forecasts; None if there are too few."""
-    return forecast_better(evidence) if _enough(evidence) else None
-
-
-def forecast_better(evidence: LineEvidence) -> Reading:
     """p-value of the improvement of forecasts; 1 if the tip in the destination improves too little.
 
-    A small effect is below a single frame's noise; all frames together show it.
+    None if there are too few forecasts.  A small effect is below a single frame's noise; all frames
+    together show it.
     """
     rules = evidence.rules
+    if not _enough(evidence):
+        return None
     before, after = evidence.errors_m
     path_before, path_after = np.array(
         [(f.present.rms_m, f.candidate.rms_m) for f in evidence.differing]

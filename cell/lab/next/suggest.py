@@ -26,8 +26,8 @@ from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_cable
 from cell.lab.next.effect_query import EffectQuery
-from cell.lab.next.planned import planned_trials
-from cell.lab.next.suggestion import TURN_RAD, Option, Stroke, Suggestion, strokes
+from cell.lab.next.motion_file import TURN_RAD, Option, Stroke, Suggestion, strokes
+from cell.lab.next.simulated import planned_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.conclusion import Examination

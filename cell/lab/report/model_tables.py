@@ -13,8 +13,7 @@ from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.next.decisions import Chances
-from cell.lab.next.forecast import POWER, EffectPower, Recovery
-from cell.lab.next.study_power import StudyPower
+from cell.lab.next.study_power import POWER, EffectPower, Recovery, StudyPower
 from cell.lab.report.tables import NOISE_ALONE
 from cell.lab.report.wording import (
     chance,
@@ -33,7 +32,7 @@ _INTERVAL_HEADS = ("parameter", "value", "low", "high", "unit")
 
 if TYPE_CHECKING:
     from cell.lab.next.discover import Discovery
-    from cell.lab.next.suggestion import Suggestion
+    from cell.lab.next.motion_file import Suggestion
 
 
 def model_table(model: Identified) -> TableData:

@@ -49,9 +49,8 @@ from cell.lab.report.wording import (
     residual_in_words,
 )
 from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
-from cell.lab.strength.compare import NOTICEABLE, Comparison
+from cell.lab.strength.compare import NOTICEABLE, Comparison, TrialResidual
 from cell.lab.strength.profiles import ParameterProfile, profile_sentences
-from cell.lab.strength.trial_residual import TrialResidual
 from cell.study.facts import sensors_in_words
 
 #: Smallest correlation of a residual with a listed signal.

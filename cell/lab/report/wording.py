@@ -19,8 +19,7 @@ from cell.lab.data.results import (
     Peak,
     RankedEffect,
 )
-from cell.lab.strength.compare import NOTICEABLE, Comparison
-from cell.lab.strength.trial_residual import TrialResidual
+from cell.lab.strength.compare import NOTICEABLE, Comparison, TrialResidual
 
 
 def catalogue_entry(effects: Sequence[str]) -> str:

@@ -18,11 +18,10 @@ from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.corrections import corrected, with_conditional_noise, with_gain_of
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver
+from cell.lab.fit.score_test import screen
 from cell.lab.fit.sensitivity import is_shape
-from cell.lab.fit.starts import MOST_GUESSES, cold_start
-from cell.lab.search.extension import TEMPER
+from cell.lab.search.extension import MOST_GUESSES, TEMPER, cold_start
 from cell.lab.search.fitted_model import POLISH, REFIT, FittedModel, error_text
-from cell.lab.search.screen import screen
 
 #: Above this χ² per value the baseline cannot fit, and a tempered fit is a better start.
 MISFIT = 1.5

@@ -21,8 +21,9 @@ from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.extension import POLISHED
 from cell.lab.search.fit_cache import FitCache, with_lower_baseline
-from cell.lab.search.fitted_model import FittedModel, added_effect
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    added_effect,
     residual_summary,
 )
 from cell.lab.search.rivals import is_at_bound, near_singles, step_p

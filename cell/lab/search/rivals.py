@@ -8,8 +8,10 @@ from scipy.special import chdtrc as chi2_sf
 
 from cell.lab.fit.plausibility import at_bound
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    added_effect,
+    error_over_noise,
     log_variance_ratio,
     residual_summary,
 )

@@ -25,14 +25,18 @@ from cell.lab.data.results import (
 )
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.plausibility import at_bound
-from cell.lab.fit.score_test import holm
+from cell.lab.fit.score_test import ScreenedEffect, holm
 from cell.lab.search.effect_search import SearchResult
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    added_effect,
+    error_over_noise,
+    peak,
+    residual_summary,
+)
 from cell.lab.search.partial import PartialExplanation
-from cell.lab.search.residual_summary import peak, residual_summary
 from cell.lab.search.rivals import step_p
-from cell.lab.search.screen import ScreenedEffect
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
 from cell.lab.verdict.evidence import Evidence

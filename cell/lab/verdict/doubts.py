@@ -11,9 +11,9 @@ from cell.files.words import first_of
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import Doubt
-from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.plausibility import at_bound, is_hopeless, is_no_model, marker_motion_m
+from cell.lab.fit.systematic_error import of_all_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.evidence import Evidence

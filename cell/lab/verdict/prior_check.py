@@ -31,8 +31,6 @@ def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, .
     cable that differs from the prior's is the simpler explanation.
     """
     fits = evidence.fits
-    if fits.prior_q is None or evidence.is_base:
-        return ()
     accepted = int(_agrees_with_prior(fits, evidence.final))
     if len(evidence.added) <= accepted:
         return ()

@@ -18,12 +18,17 @@ from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study
-from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.corrections import REMAINDER
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.projection import jacobian_with_prior
-from cell.lab.fit.systematic_error import MOTIONS, SystematicError, systematic_error
+from cell.lab.fit.systematic_error import (
+    MOTIONS,
+    AllTrialsFit,
+    SystematicError,
+    of_all_trials,
+    systematic_error,
+)
 
 
 @dataclass(frozen=True)

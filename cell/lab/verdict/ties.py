@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from cell.cable.effects.base import Effect
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
+    FittedModel,
     log_variance_ratio,
     residual_summary,
     vuong_z,

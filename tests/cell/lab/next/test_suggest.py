@@ -18,7 +18,7 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_cable
-from cell.lab.next.motion_file import load_motion
+from cell.lab.next.motion_file import Option, Stroke, Suggestion, load_motion, strokes, write_motion
 from cell.lab.next.suggest import (
     DECIDED,
     _evaluated,
@@ -29,7 +29,6 @@ from cell.lab.next.suggest import (
     suggest_motion,
     whitener_of_planned,
 )
-from cell.lab.next.suggestion import Option, Stroke, Suggestion, strokes, write_motion
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m

@@ -12,8 +12,8 @@ from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import space_with
 from cell.lab.search import partial, rivals
 from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.fitted_model import ResidualSummary, log_variance_ratio, removed_share
 from cell.lab.search.partial import largest_step
-from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio, removed_share
 from cell.lab.verdict import conclusion, ties
 from cell.lab.verdict.ties import tied_so_far
 from tests.cell.lab.conftest import fits_of
