@@ -230,24 +230,18 @@ class ParameterEstimate:
     def intervals(self, effect: type[Effect]) -> dict[str, Interval]:
         """Values and 95 % intervals of an effect's parameters."""
         space, q = self.fit.space, self.fit.q
-        index = {p.name: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
+        index = {p: space.names.index(f"{effect.name}.{p.name}") for p in effect.parameters}
         systematic = np.zeros(len(q))
-        for p in effect.parameters:
-            i = index[p.name]
-            systematic[i] = self.model_error(f"{effect.name}.{p.name}", float(q[i]))
+        for i in index.values():
+            systematic[i] = self.model_error(space.names[i], float(q[i]))
         spread = np.sqrt(np.diag(self.covariance) + systematic**2)
         reach = float(normal_quantile(0.975)) * spread
         low = space.natural(np.clip(q - reach, space.low, space.high))
         high = space.natural(np.clip(q + reach, space.low, space.high))
         value = space.natural(q)
         return {
-            p.name: Interval(
-                float(value[index[p.name]]),
-                float(low[index[p.name]]),
-                float(high[index[p.name]]),
-                p.unit,
-            )
-            for p in effect.parameters
+            p.name: Interval(float(value[i]), float(low[i]), float(high[i]), p.unit)
+            for p, i in index.items()
             if p.fitted
         }
 
