@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -37,21 +38,17 @@ class _Unidentified:
     by_model: bool = False
 
 
-@dataclass(frozen=True)
-class _IdentifiedBy:
-    """Callable: a cycle's cable identified from its hold, or why that failed."""
-
-    cable: Cable
-    options: IdentifyOptions
-
-    def __call__(self, cycle: RecordedCycle) -> Identified | _Unidentified:
-        if (unfit := _unfit(cycle.study)) is not None:
-            return _Unidentified(unfit)
-        trial = cycle.held or cycle.study.trials[0]
-        try:
-            return identify(trial, cycle.study.arc_length_m, self.cable, options=self.options)
-        except CableRejectedError as error:
-            return _Unidentified(str(error), error.reason is Reason.NO_FIT)
+def _identified(
+    cable: Cable, options: IdentifyOptions, cycle: RecordedCycle
+) -> Identified | _Unidentified:
+    """A cycle's cable identified from its hold, or why that failed."""
+    if (unfit := _unfit(cycle.study)) is not None:
+        return _Unidentified(unfit)
+    trial = cycle.held or cycle.study.trials[0]
+    try:
+        return identify(trial, cycle.study.arc_length_m, cable, options=options)
+    except CableRejectedError as error:
+        return _Unidentified(str(error), error.reason is Reason.NO_FIT)
 
 
 def _unfit(study: Study) -> str | None:
@@ -79,7 +76,7 @@ def identified_cables(
     """Cycles with the identified model of their cable; the budget notes cycles that have none."""
     usable = []
     progress(f"identifying {counted(len(cycles), 'cable')}")
-    with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
+    with closing(executor.map(partial(_identified, cable, options), cycles)) as results:
         for cycle, result in zip(cycles, results, strict=True):
             identified = result.value
             if isinstance(identified, _Unidentified):

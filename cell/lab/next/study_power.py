@@ -13,13 +13,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Effect
-from cell.cable.solver import Solver, threads
+from cell.cable.solver import threads
 from cell.files.plain import plain
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
@@ -315,32 +316,25 @@ def _least_factor(tests: Tests) -> float | None:
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
-class _CopyDiagnosed:
-    """Callable: result of the diagnosis of a copy of a study, by the copy's number."""
-
-    world: HiddenEffectWorld
-    space: ParameterSpace
-    library: Mapping[str, type[Effect]]
-    unknown_effects: tuple[type[Effect], ...]
-    solver: Solver
-    name: str
-
-    def __call__(self, number: int) -> CopyOutcome:
-        """Diagnose one copy, with the budget of a diagnosis."""
-        work = Work(DIAGNOSIS)
-        try:
-            prepared = PreparedStudy.of(self.world.copy(number), solver=self.solver, work=work)
-            setup = SearchSetup(
-                prepared, self.space, self.library, unknown_effects=self.unknown_effects
-            )
-            with work.stage("prepare"):
-                copy = FitCache.of(setup)
-            outcome = copy_outcome(diagnose(copy).diagnosis, self.name)
-        except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
-            _LOG.info("copy %d: %s", number, error)
-            outcome = CopyOutcome("failed")
-        return outcome
+def _copy_diagnosed(
+    world: HiddenEffectWorld,
+    space: ParameterSpace,
+    library: Mapping[str, type[Effect]],
+    unknown_effects: tuple[type[Effect], ...],
+    name: str,
+    number: int,
+) -> CopyOutcome:
+    """Result of the diagnosis of a copy by its number, with the budget of a diagnosis."""
+    work = Work(DIAGNOSIS)
+    try:
+        prepared = PreparedStudy.of(world.copy(number), solver=world.prepared.solver, work=work)
+        setup = SearchSetup(prepared, space, library, unknown_effects=unknown_effects)
+        with work.stage("prepare"):
+            copy = FitCache.of(setup)
+        return copy_outcome(diagnose(copy).diagnosis, name)
+    except (*UNSIMULATED, SpentError, NoiseUnknownError) as error:
+        _LOG.info("copy %d: %s", number, error)
+        return CopyOutcome("failed")
 
 
 def recover(
@@ -360,15 +354,9 @@ def recover(
     executor  of the diagnoses; None = all cores of this computer
     raises    UnsimulatedError: the cable cannot be simulated with the effect
     """
-    name = hidden.effect.name
-    of_copy = _CopyDiagnosed(
-        HiddenEffectWorld.of(fits.prepared, fits.base.fit, hidden),
-        fits.space,
-        fits.library,
-        fits.setup.unknown_effects,
-        fits.prepared.solver,
-        name,
-    )
+    name, world = hidden.effect.name, HiddenEffectWorld.of(fits.prepared, fits.base.fit, hidden)
+    unknown = fits.setup.unknown_effects
+    of_copy = partial(_copy_diagnosed, world, fits.space, fits.library, unknown, name)
     outcomes: list[CopyOutcome] = []
     progress(f"diagnosing copies with {name}", 0, copies)
     executor = this_computer(min(threads(), copies)) if executor is None else executor

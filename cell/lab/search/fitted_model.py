@@ -257,7 +257,7 @@ def peak(prepared: PreparedStudy, candidate: FittedModel) -> Peak:
     """Place of a model's largest residual: trial, then time and marker of largest rms."""
     study = prepared.unjoined
     errors = _of_places(prepared, residuals_m(prepared, candidate))
-    trial = max(errors, key=lambda name: _size(errors[name]))
+    trial = max(errors, key=lambda name: np.nan_to_num(rms(errors[name]), nan=-1.0))
     times = next(t.markers.t_s for t in study.trials if t.name == trial)
     error = errors[trial]
     middle_s, by_time = rms_by_time(times, error)
@@ -282,11 +282,6 @@ def _of_places(
             places = prepared.of_markers(trial, error)
             markers[trial.name] = places.reshape(len(places), -1)
     return markers
-
-
-def _size(error: FloatArray) -> float:
-    size = rms(error)
-    return size if np.isfinite(size) else -1.0
 
 
 def _place(study: Study, errors: Mapping[str, FloatArray]) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -72,8 +72,7 @@ def explain_partly(fits: FitCache) -> PartialExplanation:
         # converge from any start.
         if error.std_m > REWEIGHTED_BELOW * before.std_m or joint.work.spent:
             break
-    steps = _added(joint, base, singles)
-    steps = _significant_steps(joint, steps)
+    steps = _significant_steps(joint, _added(joint, base, singles))
     if len(steps) == 2:
         for rival in near_singles(joint, steps[1], singles):
             joint.extended(rival)
@@ -149,12 +148,9 @@ def _significant_steps(fits: FitCache, steps: Sequence[FittedModel]) -> list[Fit
 
     After an exchange, one of two effects may be sufficient alone.
     """
-    significant = list(steps[:1])
-    for small, large in pairwise(steps):
-        if p_value_of(fits, small, large) >= fits.rules.significance:
-            break
-        significant.append(large)
-    return significant
+    limit = fits.rules.significance
+    pairs = takewhile(lambda pair: p_value_of(fits, *pair) < limit, pairwise(steps))
+    return [steps[0], *(large for _, large in pairs)]
 
 
 def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:

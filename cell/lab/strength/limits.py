@@ -199,10 +199,8 @@ class LimitSearch:
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
         self._reach = -float(normal_quantile(tail))
-        self._room = (
-            self._parameter.low - self._parameter.default,
-            self._parameter.high - self._parameter.default,
-        )
+        p = self._parameter
+        self._room = p.low - p.default, p.high - p.default
         self._sides = self._first_sides(slopes, j)
 
     def _first_sides(self, slopes: Sensitivity, j: int) -> list[Side]:
