@@ -26,9 +26,10 @@ from cell.lab.data.results import Limit
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.plausibility import is_no_model
 from cell.lab.fit.systematic_error import AllTrialsFit, of_all_trials
-from cell.lab.search.effect_search import SearchResult, errors_in_words, path_to, search_effects
+from cell.lab.search.effect_search import SearchResult, errors_in_words, search_effects
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.partial import explain_partly
+from cell.lab.search.stepwise import in_order
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import evaluate, explains
@@ -113,7 +114,9 @@ def _concluded(checked: _CheckedSearch) -> Examination:
     """The conclusion from a search: effects that explain the study, or a partial explanation."""
     search, evidence, fits = checked.search, checked.evidence, checked.evidence.fits
     partial = None if checked.explained else explain_partly(fits)
-    path = path_to(fits, evidence.final) if checked.explained else (fits.base,)
+    path = [fits.base]
+    if checked.explained:  # from the baseline, the effect with the most evidence first
+        path = in_order(fits, evidence.final, lambda c: c.evidence)
     return conclude(search, evidence, checked.checks, path, partial, all_tried=checked.all_tried)
 
 

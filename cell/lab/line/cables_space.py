@@ -15,9 +15,9 @@ from cell.cable.effects.base import Effect
 from cell.files.words import counted
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import Fit, start_from
 from cell.lab.fit.score_test import ScreenedEffect, screen
 from cell.lab.fit.sensitivity import shapes_of
@@ -269,8 +269,9 @@ class CablesSpace:
         fits: list[tuple[type[Effect], SharedFit]] = []
         for effect in chosen:
             best_chi2 = min((fit.chi2 for _, fit in fits), default=np.inf)
-            if self._cannot_win(own, effect, best_chi2):
-                continue
+            alone_chi2 = [o[effect.name].fit.objective for o in own if effect.name in o]
+            if len(alone_chi2) == len(own) and sum(alone_chi2) > FAR_ABOVE * best_chi2:
+                continue  # its fits to single cables leave far more than another's joint fit
             if fits and not self.budget.allows(REFITS, f"a fit with {effect.name}"):
                 continue
             self.progress(f"refitting with {effect.name}")
@@ -338,13 +339,6 @@ class CablesSpace:
                 candidates = []
             solutions.append({c.effects[-1].name: c for c in candidates})
         return solutions
-
-    def _cannot_win(
-        self, own: Sequence[dict[str, FittedModel]], effect: type[Effect], best_chi2: float
-    ) -> bool:
-        """Whether even its fits to single cables leave far more than another's joint fit."""
-        fits = [o[effect.name].fit for o in own if effect.name in o]
-        return len(fits) == len(own) and sum(f.objective for f in fits) > FAR_ABOVE * best_chi2
 
     def last_alone(self, pair: EffectFit) -> EffectFit | None:
         """The last of two effects without the first, if it explains as much as both.

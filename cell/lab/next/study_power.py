@@ -24,10 +24,10 @@ from cell.cable.solver import threads
 from cell.files.plain import plain
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt
-from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import fit_trials
@@ -211,9 +211,12 @@ class SizeSearch:
         if changed is None:
             return None
         alone, shapes = changed
-        hidden = self._residual(size) if refitted else alone
-        if hidden is None:
-            return None
+        prepared, fit, hidden = self.fits.prepared, self.fits.base.fit, alone
+        if refitted:
+            try:
+                hidden = refit_residual(prepared, fit, self.query.at(size))
+            except UNSIMULATED:
+                return None
         amplitudes = [p for p in effect.parameters if p.amplitude]
         which = amplitudes.index(self.query.parameter)
         own = own_sensitivities(linear, effect, which, hidden, alone, shapes)
@@ -238,12 +241,6 @@ class SizeSearch:
         if not np.all(np.isfinite(rows)):
             return None
         return rows[0], rows[1:] - rows[0]
-
-    def _residual(self, size: float) -> FloatArray | None:
-        try:
-            return refit_residual(self.fits.prepared, self.fits.base.fit, self.query.at(size))
-        except UNSIMULATED:
-            return None
 
     def _constants(self, hidden: FloatArray) -> StudyConstants:
         prepared, linear = self.fits.prepared, self.linear

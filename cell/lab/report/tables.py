@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.files.table import TableData
 from cell.identify.parameters import Prior
+from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors, TrialValue
-from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.series import rms_over
 from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (

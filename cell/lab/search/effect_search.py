@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from cell.lab.data.thresholds import Rules
+from cell.lab.data.check import Rules
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache, noise_reestimated
 from cell.lab.search.fitted_model import FittedModel, added_effect
-from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
+from cell.lab.search.stepwise import exchanged, holm_among, levels, pruned
 
 _LOG = logging.getLogger(__name__)
 
@@ -176,8 +176,3 @@ def _two_explain_little(fits: FitCache, current: FittedModel) -> bool:
     if len(fits.added(current)) < 2:
         return False
     return 1.0 - fits.removed_share(fits.base, current) > fits.rules.most_share
-
-
-def path_to(fits: FitCache, final: FittedModel) -> tuple[FittedModel, ...]:
-    """Models from the baseline to `final`, the effect with the most evidence first."""
-    return tuple(in_order(fits, final, lambda c: c.evidence))

@@ -35,8 +35,7 @@ from cell.lab.search.fitted_model import (
     peak,
     residual_summary,
 )
-from cell.lab.search.partial import PartialExplanation
-from cell.lab.search.rivals import step_p
+from cell.lab.search.partial import PartialExplanation, step_p
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
 from cell.lab.verdict.evidence import Evidence

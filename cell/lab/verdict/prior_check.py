@@ -14,7 +14,7 @@ from cell.lab.fit.fitting import space_with
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, error_over_noise
-from cell.lab.search.rivals import close_rivals
+from cell.lab.search.partial import close_rivals
 from cell.lab.search.stepwise import levels
 from cell.lab.verdict.evidence import Evidence
 

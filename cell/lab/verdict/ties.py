@@ -13,7 +13,7 @@ from cell.lab.search.fitted_model import (
     residual_summary,
     vuong_z,
 )
-from cell.lab.search.rivals import any_at_bound, close_rivals, is_at_bound, near_singles, step_p
+from cell.lab.search.partial import any_at_bound, close_rivals, is_at_bound, near_singles, step_p
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 
