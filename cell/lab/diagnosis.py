@@ -24,10 +24,10 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import CheckOutcome, worst_verdict
 from cell.lab.data.results import Limit
 from cell.lab.data.work import SpentError, WorkStoppedError
-from cell.lab.fit.plausibility import is_no_model
 from cell.lab.fit.systematic_error import AllTrialsFit, of_all_trials
 from cell.lab.search.effect_search import SearchResult, errors_in_words, search_effects
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import is_no_model
 from cell.lab.search.partial import explain_partly
 from cell.lab.search.stepwise import in_order
 from cell.lab.strength.limits import limits

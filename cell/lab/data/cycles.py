@@ -17,7 +17,7 @@ from cell.identify.noise import still_frames
 from cell.records.folder import is_cycle, read_record
 from cell.records.result import Outcome
 from cell.study.data import Study, Trial
-from cell.study.folder import read_study, study_folder, write_study
+from cell.study.folder import read_study, study_folder
 from cell.study.independence import without_copies
 from cell.study.left_out import without_outliers
 
@@ -215,18 +215,6 @@ def _with_largest_errors(study: Study, merged: Sequence[Study]) -> Study:
 
 def _largest(stated: Iterable[float | None]) -> float | None:
     return max((value for value in stated if value is not None), default=None)
-
-
-def merge_into(folder: Path, runs: Sequence[Path]) -> tuple[Study, list[str]]:
-    """The studies of cycles merged into one, written to a folder and named after it.
-
-    returns  the study; and notes on omitted cycles without measurements
-    raises   InputError: as `merge_studies`, or nothing was measured in any
-    """
-    recorded, left_out = measured(runs)
-    study = merge_studies(recorded, folder.name)
-    write_study(study, folder)
-    return study, left_out
 
 
 def _read(run: Path) -> _Cycle:

@@ -18,14 +18,15 @@ from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
 from cell.lab.fit.fitting import fit_trials, start_from
-from cell.lab.fit.plausibility import at_bound, is_hopeless
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.extension import POLISHED
 from cell.lab.search.fit_cache import FitCache, with_lower_baseline
 from cell.lab.search.fitted_model import (
     FittedModel,
     added_effect,
+    at_bound,
     error_over_noise,
+    is_hopeless,
     log_variance_ratio,
     residual_summary,
 )

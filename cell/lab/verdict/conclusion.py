@@ -24,13 +24,13 @@ from cell.lab.data.results import (
     Verdict,
 )
 from cell.lab.data.work import SpentError, WorkStoppedError
-from cell.lab.fit.plausibility import at_bound
 from cell.lab.fit.score_test import ScreenedEffect, holm
 from cell.lab.search.effect_search import SearchResult
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import (
     FittedModel,
     added_effect,
+    at_bound,
     error_over_noise,
     peak,
     residual_summary,

@@ -12,10 +12,15 @@ from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import Doubt
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.plausibility import at_bound, is_hopeless, is_no_model, marker_motion_m
 from cell.lab.fit.systematic_error import of_all_trials
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    at_bound,
+    is_hopeless,
+    is_no_model,
+    marker_motion_m,
+)
 from cell.lab.verdict.evidence import Evidence
 
 #: Ratio of error to noise above which the model's own error determines a fit's intervals.
