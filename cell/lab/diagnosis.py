@@ -22,7 +22,6 @@ from typing import Any
 
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import CheckOutcome, worst_verdict
-from cell.lab.data.results import Limit
 from cell.lab.data.work import SpentError, WorkStoppedError
 from cell.lab.fit.systematic_error import AllTrialsFit, of_all_trials
 from cell.lab.search.effect_search import SearchResult, errors_in_words, search_effects
@@ -131,14 +130,19 @@ def with_limits(examination: Examination) -> Examination:
     Without limits for an unexplained study, where the true effect might be excluded given the wrong
     model, and if the parameters are meaningless.
     """
-    diagnosis = examination.diagnosis
+    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
         return examination
-    return _measured(
-        examination,
-        "how strong other effects could be was not computed",
-        lambda: {"limits": _limits(examination)},
-    )
+    named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
+    absent = [e for name, e in fits.library.items() if name not in named | final.names]
+    prepared = examination.final_prepared
+
+    def measure() -> dict[str, Any]:
+        # from the fitted trials only, if not all can be simulated
+        joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
+        return {"limits": limits(joint, absent, fits.progress)}
+
+    return _measured(examination, "how strong other effects could be was not computed", measure)
 
 
 def with_agreement(examination: Examination) -> Examination:
@@ -171,14 +175,3 @@ def _measured(
         spent = isinstance(error, SpentError)
     warnings = (*diagnosis.warnings, ended_doubt(spent, missing))
     return replace(examination, diagnosis=replace(diagnosis, warnings=warnings))
-
-
-def _limits(examination: Examination) -> tuple[Limit, ...]:
-    """Limits of the effects that are neither named nor tied."""
-    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
-    named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
-    absent = [e for name, e in fits.library.items() if name not in named | final.names]
-    prepared = examination.final_prepared
-    # from the fitted trials only, if not all can be simulated
-    joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
-    return limits(joint, absent, fits.progress)

@@ -1,4 +1,7 @@
-"""A measuring motion from a file (`cell-motion/1`), checked against the limits of the cell."""
+"""Measuring motions: suggested strokes, and files (`cell-motion/1`) of motions.
+
+A file is checked against the limits of the cell that is to execute it.
+"""
 
 from __future__ import annotations
 

@@ -216,8 +216,7 @@ def _respected_limits(suggestion: Suggestion) -> str:
         )
     return (
         "gripper within its limits, cable and jaw in the picture, cable clear of the workpiece, "
-        "all "
-        f"including the uncertainty of the cable; {refused} motions refused"
+        f"all including the uncertainty of the cable; {refused} motions refused"
     )
 
 
@@ -269,8 +268,8 @@ def recovery_table(power: StudyPower) -> TableData | None:
     )
     note = (
         "Copies with the effect hidden in fresh noise, each diagnosed. “undecided”: nothing is "
-        "claimed; "
-        "“missed”: the model is called complete; “unexplained”: no effect explains the copy"
+        "claimed; “missed”: the model is called complete; “unexplained”: no effect explains the "
+        "copy"
     )
     return TableData("Copies diagnosed", heads, rows, range(1, 9), note)
 

@@ -1,4 +1,7 @@
-"""A set of effects fitted to a study, its evidence, and its gain over another set."""
+"""A set of effects fitted to a study: its evidence, its gain over another set, its residual.
+
+And whether it can be a model of the cable at all, and which of its parameters are at bounds.
+"""
 
 from __future__ import annotations
 

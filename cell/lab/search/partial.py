@@ -2,7 +2,8 @@
 
 Where no set of effects fits to the noise, the model's own error limits every conclusion.  So it
 replaces the noise here, with its correlation.  The model is fitted to all trials jointly: effects
-are compared by how much they change the fit, not by their forecasts.
+are compared by how much they change the fit, not by their forecasts.  Rivals of a model are those
+that explain as much.
 """
 
 from __future__ import annotations
