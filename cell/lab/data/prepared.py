@@ -159,12 +159,9 @@ class PreparedStudy:
         """
         study = placed(study)
         noise_model = with_levels(study, noise_model_of(study))
-        noise = (
-            misfit
-            if misfit and misfit.std_m > ERROR_RATIO * noise_model.noise.std_m
-            else noise_model.noise
-        )
-        level_m = noise_model.noise.std_m
+        noise, level_m = noise_model.noise, noise_model.noise.std_m
+        if misfit is not None and misfit.std_m > ERROR_RATIO * level_m:
+            noise = misfit
         study, gauges = with_gauges(study, level_m, noise.std_m / level_m)
         return PreparedStudy(
             study, noise_model, noise, {}, solver or SOLVER, work or Work(), gauges=gauges

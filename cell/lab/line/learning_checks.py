@@ -93,10 +93,9 @@ class LineEvidence:
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
         """(differing,) tip errors in the destination, of the present model and the candidate."""
-        return (
-            np.array([f.present.error_m for f in self.differing]),
-            np.array([f.candidate.error_m for f in self.differing]),
-        )
+        pairs = [(f.present.error_m, f.candidate.error_m) for f in self.differing]
+        before, after = np.array(pairs).reshape(-1, 2).T
+        return before, after
 
 
 def error_ratio(evidence: LineEvidence) -> Reading | None:

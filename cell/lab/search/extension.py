@@ -61,9 +61,7 @@ def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
 
 def scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
     """The guesses, then with scaled amplitudes: guesses are linear, so wrong far from zero."""
-    default = np.array([p.default for p in effect.parameters])
-    low = np.array([p.low for p in effect.parameters])
-    high = np.array([p.high for p in effect.parameters])
+    default, low, high = np.array([(p.default, p.low, p.high) for p in effect.parameters]).T
     strong = np.array([p.amplitude for p in effect.parameters])
     scaled = [
         np.clip(np.where(strong, default + share * (g - default), g), low, high)

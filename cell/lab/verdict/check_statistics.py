@@ -283,10 +283,7 @@ def parameter_constancy_of(
     """
     if not noise_is_from_rest(prepared):
         return None
-    residual, tested = (
-        all_trials_residual(prepared, fit),
-        all_trials_residual(prepared, parameters or fit),
-    )
+    residual, tested = (all_trials_residual(prepared, f) for f in (fit, parameters or fit))
     if residual is None or tested is None:
         return None
     solution = tested.all_trials.fit.solution

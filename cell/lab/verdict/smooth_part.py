@@ -213,13 +213,8 @@ class AllTrialsResidual:
     @cached_property
     def by_trial(self) -> list[tuple[Whitener, FloatArray]]:
         """`components` of each trial, (…, rows of the trial)."""
-        return list(
-            zip(
-                self.whiteners,
-                self.all_trials.systematic_error.by_trial(self.components),
-                strict=True,
-            )
-        )
+        parts = self.all_trials.systematic_error.by_trial(self.components)
+        return list(zip(self.whiteners, parts, strict=True))
 
     @cached_property
     def level(self) -> tuple[float, float]:
