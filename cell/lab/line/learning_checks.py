@@ -8,7 +8,7 @@ judged by the size of the error and by forecasts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.learn import CHANCE, end_offset_stds
+from cell.lab.verdict.checks import CHECKS
 from cell.plan.destination import Destination
 
 #: Fewest forecasts for a rank test; with fewer none may become worse by more than noise.
@@ -31,7 +32,7 @@ RANKED_FROM = 5
 class LineRules:
     """Limits at which a line's model is complete, and a candidate good enough for the line.
 
-    error_over_noise, most_named, noise_known_within   as in a diagnosis
+    most_over_noise, most_named, noise_known_within   as in a diagnosis
     chance               largest deviation attributed to chance, standard deviations
     fewest               minimum number of forecasts to test a candidate
     least_gain, least_gain_m   required relative and absolute improvement of forecasts
@@ -46,7 +47,7 @@ class LineRules:
                          a different effect
     """
 
-    error_over_noise: float = DEFAULT_RULES.most_over_noise
+    most_over_noise: float = DEFAULT_RULES.most_over_noise
     most_named: int = DEFAULT_RULES.most_named
     noise_known_within: float = KNOWN_WITHIN
     chance: float = CHANCE
@@ -254,17 +255,24 @@ def spread_p_value(evidence: LineEvidence) -> Reading | None:
     return min(readings, key=lambda r: r.value, default=none_fitted)
 
 
+def _as_for_a_study(
+    name: str,
+    statistic: Callable[[LineEvidence], Reading | None],
+    failed: str,
+    question: str | None = None,
+) -> Check[LineEvidence]:
+    """A check of a diagnosis, for many cables: with another statistic and another sentence."""
+    (c,) = [check for check in CHECKS if check.name == name]
+    question = c.question if question is None else question
+    return Check(name, question, c.unit, statistic, c.passes, c.limit, c.failing, failed, c.reason)
+
+
 LEARNING: tuple[Check[LineEvidence], ...] = (
-    Check(
+    _as_for_a_study(
         "fitted_error",
-        "Is the error on all cables as small as the noise?",
-        "error / noise",
         error_ratio,
-        "<=",
-        "error_over_noise",
-        "unexplained",
         "The model misses more than noise.",
-        "the ratio of error and noise; converged simulators of one cable differ by less than 10 %",
+        "Is the error on all cables as small as the noise?",
     ),
     Check(
         "ends_beyond",
@@ -277,27 +285,11 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "All cables' ends are seen elsewhere along the cable than the model has them.",
         "the mean over cables; a single one may be seen 0.05 mm further along in all its pictures",
     ),
-    Check(
-        "ties",
-        "How many effects explain the error equally well?",
-        "effects",
-        most_tied,
-        "<=",
-        "most_named",
-        "cannot_tell",
-        "These cycles cannot tell them apart.",
-        "their number: up to three candidates can be tested, more cannot",
-    ),
-    Check(
+    _as_for_a_study("ties", most_tied, "These cycles cannot tell them apart."),
+    _as_for_a_study(
         "noise_unknown",
-        "Is the noise known well enough?",
-        "mean square ratio",
         noise_range,
-        "<",
-        "noise_known_within",
-        "cannot_tell",
         "The frames at rest are too few to decide whether the error is noise.",
-        "the largest noise that the rest allows: noise plus an error as large must exceed it",
     ),
 )
 
