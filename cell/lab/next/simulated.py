@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect
 from cell.cable.geometry import Motion
-from cell.cable.model import CableModel
 from cell.cable.wrench import AS_POINTS
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.gaussian import covariance_root
@@ -52,7 +51,9 @@ class HiddenEffectWorld:
 
         raises  UnsimulatedError: it cannot be simulated
         """
-        model = _with(fit.model, hidden)
+        model = fit.model
+        if hidden is not None:
+            model = replace(model, effects=(*model.effects, hidden))
         trials = prepared.study.trials if trials is None else tuple(trials)
         states = best_initial_states(prepared, fit, trials)
         channels = _channel_correlation(prepared, fit)
@@ -138,7 +139,8 @@ def refit_residual(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> F
     fit     a model of the `fit` trials, to which it is refitted with the effect in them
     raises  UnsimulatedError: it cannot be simulated
     """
-    trials, model = prepared.study.trials, _with(fit.model, hidden)
+    trials = prepared.study.trials
+    model = replace(fit.model, effects=(*fit.model.effects, hidden))
     predicted = prepared.predict_all(trials, [model], best_initial_states(prepared, fit))
     if not all(np.all(np.isfinite(points)) for points in predicted):
         raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
@@ -156,10 +158,6 @@ def refit_residual(prepared: PreparedStudy, fit: Fit, hidden: ActiveEffect) -> F
     if not np.all(np.isfinite(residual)):
         raise UnsimulatedError(f"the cable cannot be simulated with {hidden.effect.name}")
     return residual
-
-
-def _with(model: CableModel, hidden: ActiveEffect | None) -> CableModel:
-    return model if hidden is None else replace(model, effects=(*model.effects, hidden))
 
 
 def _logged(trial: Trial, number: int) -> Motion:

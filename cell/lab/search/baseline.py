@@ -82,7 +82,11 @@ def fit_baseline(
     prepared, space, progress = setup.prepared, setup.space, setup.progress
     names = ", ".join(e.name for e in space.effects) or "no effects"
     progress(f"looking where to begin with {names}", 0, 3)
-    start = _start(setup, prepared)
+    start = setup.start_q
+    if start is None:
+        start = cold_start(prepared, space)
+        if setup.prior_q is None:  # else the shapes are the earlier individual's
+            start = _of_likeliest_shape(setup, prepared, _scanned(setup, prepared, start))
     progress(f"fitting the model with {names}", 1, 3)
     fit = fit_model(prepared, space, start, options=POLISH)
     calibrated = with_gain_of(prepared, fit)
@@ -108,16 +112,6 @@ def fit_baseline(
         result = best
     prepared, fit = with_slope_solver(result.prepared, result.fit)
     return replace(result, prepared=prepared, fit=fit)
-
-
-def _start(setup: SearchSetup, prepared: PreparedStudy) -> FloatArray:
-    """Start coordinates of the first fit."""
-    if setup.start_q is not None:
-        return setup.start_q
-    start = cold_start(prepared, setup.space)
-    if setup.prior_q is not None:  # the shapes are the earlier individual's
-        return start
-    return _of_likeliest_shape(setup, prepared, _scanned(setup, prepared, start))
 
 
 def _with_noise_and_mesh_error(setup: SearchSetup, before: BaselineFit) -> BaselineFit:

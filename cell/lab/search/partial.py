@@ -235,12 +235,8 @@ def _converged(
 
 def _with_noise(fits: FitCache, error: Noise) -> FitCache:
     """The fits of all trials jointly, with a model's own error as noise."""
-    prepared = PreparedStudy.of(
-        all_fitted(as_measured(fits.prepared)),
-        misfit=error,
-        solver=COARSE,
-        work=fits.prepared.work,
-    )
+    study, work = all_fitted(as_measured(fits.prepared)), fits.prepared.work
+    prepared = PreparedStudy.of(study, misfit=error, solver=COARSE, work=work)
     prepared = replace(prepared, noise_model=fits.prepared.noise_model)
     setup = SearchSetup(prepared, fits.space, fits.library, fits.progress, fits.prior_q)
     return FitCache.of(replace(setup, rules=fits.rules))
