@@ -13,7 +13,7 @@ from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResu
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
-from cell.lab.data.check import read_own_checks
+from cell.lab.data.check import DEFAULT_RULES, Rules, read_own_checks
 from cell.lab.data.named_effects import (
     EffectSelection,
     candidates_in,
@@ -22,20 +22,25 @@ from cell.lab.data.named_effects import (
 )
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, as_measured
-from cell.lab.data.thresholds import DEFAULT_RULES, Rules
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose as examine
 from cell.lab.diagnosis import with_strength
-from cell.lab.fit.individual_model import check_same_kind, read_model
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.effect_query import effect_queries
 from cell.lab.next.study_power import power_of
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.setup import fit_cache_of, read_kind, read_prior, without_outliers
+from cell.lab.search.setup import (
+    check_same_kind,
+    fit_cache_of,
+    read_kind,
+    read_model,
+    read_prior,
+    without_outliers,
+)
 from cell.lab.strength.compare import Comparison, compare_model, model_names
-from cell.lab.strength.kept_model import identified
+from cell.lab.strength.estimate import identified
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
@@ -231,7 +236,7 @@ def power(
 def planned(fits: FitCache, motions: Sequence[Path | str]) -> FitCache:
     """The fits, with motions of `cell suggest` files, from the gripper's home, held out."""
     from cell.lab.next.motion_file import hand_motion
-    from cell.lab.next.planned import with_motions
+    from cell.lab.next.simulated import with_motions
 
     if not motions:
         return fits

@@ -38,7 +38,7 @@ from cell.lab.report.tables import agreement_table, diagnosis_parts, knots_lines
 from cell.lab.report.wording import agreement_sentence, by_evidence
 from cell.lab.report.wrench_report import wrenches_table
 from cell.lab.strength.compare import Comparison, comparisons_json
-from cell.lab.strength.kept_model import identified
+from cell.lab.strength.estimate import identified
 from cell.lab.verdict.doubts import ended_doubt
 from cell.study.wrench import COLUMNS
 from drivers.installing import install_extra
@@ -91,8 +91,8 @@ class Shown:
 if TYPE_CHECKING:
     from cell.lab.data.prepared import PreparedStudy
     from cell.lab.next.advice import NextStep
+    from cell.lab.next.motion_file import Suggestion
     from cell.lab.next.study_power import StudyPower
-    from cell.lab.next.suggestion import Suggestion
     from cell.lab.search.fitted_model import FittedModel
     from cell.lab.verdict.conclusion import Examination
 
@@ -327,6 +327,6 @@ class SuggestResult(Shown):
 
     def write(self, path: Path | str) -> None:
         """Write the best motion as a file for `cell run --motion`."""
-        from cell.lab.next.suggestion import write_motion  # settings: a fifth of a second
+        from cell.lab.next.motion_file import write_motion  # settings: a fifth of a second
 
         write_motion(self.suggestion, Path(path))

@@ -106,7 +106,7 @@ def export(options: ExportOptions) -> None:
     Exit codes: 0; 1 if MuJoCo's tip is too far from the model's; 2 if the input is wrong.
     """
     from cell.lab.data.named_effects import select_effects
-    from cell.lab.fit.individual_model import read_model
+    from cell.lab.search.setup import read_model
 
     with refusing(*options.files, options.as_json, force=options.force):
         own = {n: e for name in options.effect or [] for n, e in select_effects([name]).own.items()}
@@ -167,7 +167,7 @@ def _to_mujoco(identified: Identified, options: ExportOptions) -> None:
 def _motions(study: Path, model: Path, identified: Identified) -> tuple[PeerTrial, ...]:
     """Motions of a study of the same kind of cable; those that begin bent are reported."""
     from cell.exchange.peer import trials_of
-    from cell.lab.fit.individual_model import check_same_kind
+    from cell.lab.search.setup import check_same_kind
     from cell.study.folder import read_study, study_folder
 
     measured = read_study(study_folder(study))

@@ -165,13 +165,15 @@ def _check_pictures(folder: Path) -> None:
 
 def _import_recordings(options: ImportOptions, recordings: list[Path]) -> NoReturn:
     """Recordings of this program need no mapping."""
-    from cell.lab.data.merge_studies import merge_into
+    from cell.lab.data.cycles import measured, merge_studies
+    from cell.study.folder import write_study
 
     with refusing(options.as_json, force=options.force), working("import"), ExitStack() as stack:
         out = _folder(options)
         check_new_study(out, force=options.force)
         folders = [folder_in(stack.enter_context, recording) for recording in recordings]
-        study, left_out = merge_into(out, folders)
+        studies, left_out = measured(folders)
+        write_study(study := merge_studies(studies, out.name), out)
     notes = [*study.notes, *(f"left out: {line}" for line in left_out)]
     trials = [{"name": t.name, "role": t.role, "start": t.start} for t in study.trials]
     counts = f"{counted(len(trials), 'trial')} of {counted(len(recordings), 'recording')}"

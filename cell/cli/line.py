@@ -217,13 +217,13 @@ def _asking(
     result: LearningResult, options: LearnOptions, product: str | None, progress: Progress
 ) -> tuple[list[str], list[Delivery]]:
     """Commands for the motion that distinguishes the tied effects, and its file."""
+    from cell.lab.next.motion_file import write_motion
     from cell.lab.next.suggest import (
         MOST_CANDIDATES,
         MOST_REQUESTED,
         distinguishing_motions,
         worth_measuring,
     )
-    from cell.lab.next.suggestion import write_motion
     from cell.settings.surroundings import Surroundings
 
     if not result.tied:

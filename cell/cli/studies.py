@@ -56,8 +56,7 @@ def study(
     force: Force = False,
 ) -> None:
     """Gather recorded cycles of one cable into a study, or write a study as wide tables."""
-    from cell.lab.data.cycles import measured
-    from cell.lab.data.merge_studies import merge_studies
+    from cell.lab.data.cycles import measured, merge_studies
     from cell.study.folder import write_study
     from cell.study.imports.write import write_wide
 

@@ -22,13 +22,13 @@ from typing import Any
 
 from cell.identify.gauss_newton import UnsimulatedError
 from cell.lab.data.check import CheckOutcome, worst_verdict
-from cell.lab.data.results import Limit
 from cell.lab.data.work import SpentError, WorkStoppedError
-from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
-from cell.lab.fit.plausibility import is_no_model
-from cell.lab.search.effect_search import SearchResult, errors_in_words, path_to, search_effects
+from cell.lab.fit.systematic_error import AllTrialsFit, of_all_trials
+from cell.lab.search.effect_search import SearchResult, errors_in_words, search_effects
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import is_no_model
 from cell.lab.search.partial import explain_partly
+from cell.lab.search.stepwise import in_order
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import evaluate, explains
@@ -113,7 +113,9 @@ def _concluded(checked: _CheckedSearch) -> Examination:
     """The conclusion from a search: effects that explain the study, or a partial explanation."""
     search, evidence, fits = checked.search, checked.evidence, checked.evidence.fits
     partial = None if checked.explained else explain_partly(fits)
-    path = path_to(fits, evidence.final) if checked.explained else (fits.base,)
+    path = [fits.base]
+    if checked.explained:  # from the baseline, the effect with the most evidence first
+        path = in_order(fits, evidence.final, lambda c: c.evidence)
     return conclude(search, evidence, checked.checks, path, partial, all_tried=checked.all_tried)
 
 
@@ -128,14 +130,19 @@ def with_limits(examination: Examination) -> Examination:
     Without limits for an unexplained study, where the true effect might be excluded given the wrong
     model, and if the parameters are meaningless.
     """
-    diagnosis = examination.diagnosis
+    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
     if diagnosis.verdict == "unexplained" or diagnosis.codes & {"interrupted", *MEANINGLESS}:
         return examination
-    return _measured(
-        examination,
-        "how strong other effects could be was not computed",
-        lambda: {"limits": _limits(examination)},
-    )
+    named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
+    absent = [e for name, e in fits.library.items() if name not in named | final.names]
+    prepared = examination.final_prepared
+
+    def measure() -> dict[str, Any]:
+        # from the fitted trials only, if not all can be simulated
+        joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
+        return {"limits": limits(joint, absent, fits.progress)}
+
+    return _measured(examination, "how strong other effects could be was not computed", measure)
 
 
 def with_agreement(examination: Examination) -> Examination:
@@ -168,14 +175,3 @@ def _measured(
         spent = isinstance(error, SpentError)
     warnings = (*diagnosis.warnings, ended_doubt(spent, missing))
     return replace(examination, diagnosis=replace(diagnosis, warnings=warnings))
-
-
-def _limits(examination: Examination) -> tuple[Limit, ...]:
-    """Limits of the effects that are neither named nor tied."""
-    diagnosis, fits, final = examination.diagnosis, examination.fits, examination.final
-    named = {n for f in (*diagnosis.missing, *diagnosis.partial) for n in (f.effect, *f.tied_with)}
-    absent = [e for name, e in fits.library.items() if name not in named | final.names]
-    prepared = examination.final_prepared
-    # from the fitted trials only, if not all can be simulated
-    joint = of_all_trials(prepared, final.fit) or AllTrialsFit(prepared, final.fit)
-    return limits(joint, absent, fits.progress)

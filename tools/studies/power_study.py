@@ -22,9 +22,8 @@ from scipy.stats import binomtest
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.next.effect_query import effect_queries
-from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.next.study_power import recover
+from cell.lab.next.study_power import forecast, recover
 from cell.lab.search.fit_cache import FitCache, SearchSetup
 from cell.study.data import Study
 from tools.studies.rows import added_rows, read_rows

@@ -18,10 +18,92 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.computer.watched import must_end
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.words import error_text
+from cell.lab.data.noise_model import KNOWN_WITHIN
+from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import CheckResult, Doubt, Verdict
 from cell.study.data import Trial
+
+#: Family-wise error rate: probability of a false effect, law or disagreement over all tests of a
+#: question.
+SIGNIFICANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Limits for accepting an effect and for calling a model complete, and the extent of a search.
+
+    Probabilities:
+    significance         of an effect on the fit trials, or on all of them given the final model,
+                         family-wise over the library (Holm); and of the smooth part of half an
+                         effect: if that is not detectable, no claim is made, because an effect
+                         outside the library might look the same
+    residual_significance  below which a residual is more than noise; above `small_share` of the
+                         baseline's excess, `significance` is the limit
+
+    Likelihoods:
+    heldout_gain     required ln likelihood ratio of the held-out trials by an effect: in total, and
+                     by the effect alone, the other parameters as fitted.  Below it alone, they
+                     cannot detect it, and the total gain is due to other parameters
+    tie_delta_chi2   sets of effects are tied if their χ² over all trials differs by less
+    vuong_z          where no set of effects explains the study, sets are tied if their residuals
+                     differ by fewer standard deviations.  For white noise 1.5 is Δχ² = 9; with
+                     covariances over a quarter of the frames that becomes 2 (Kiefer and Vogelsang
+                     2005, Econometric Theory 21, 1130)
+
+    Errors, rms over noise; a smooth part matters above the same share of the noise's mean square:
+    most_over_noise  up to which a model's own error explains it: converged simulators of one cable
+                     differ by less
+    below_stated     an error below this share of a stated noise is within the measurement's
+                     uncertainty: no further effect is claimed
+    noise_known_within   largest allowed upper bound of the noise's mean square, over the estimate
+
+    Shares.  Below the first two lie the errors of models, ours included, whatever their
+    significance:
+    negligible_share   required fall of the held-out mean square by an effect: the first, of the
+                       noise's; further ones, of the baseline's excess; and the part of that excess
+                       that another effect may explain given the final model
+    slight_share       of the noise's mean square: required fall of the held-out one by further
+                       effects; of the baseline's excess: smooth part, other than noise, allowed in
+                       the residual of a claimed effect
+    small_share        of the baseline's excess: above it a smooth part is tested at `significance`;
+                       of the χ² that an effect explains: below it held-out trials cannot show it
+    most_share         required removed share of an error by a partial effect; remaining share after
+                       two effects at which a search ends without exchanges
+
+    Numbers:
+    most_named       effects added one after another, tied, or listed as nearest: more than three
+                     cannot be tested; a partial explanation has one less
+    least_heldout    independent held-out trials, of motions not fitted to, required for a claim
+    max_unconfirmed  effects needed only because of an earlier cable's model: none, because this
+                     study alone is no evidence for them
+    max_refits       effects of the screen that are refitted, in addition to all non-smooth ones
+
+    own              a user's own checks, in addition to those of the lab
+    """
+
+    significance: float = SIGNIFICANCE
+    residual_significance: float = 1e-3
+    heldout_gain: float = 3.0
+    tie_delta_chi2: float = 9.0
+    vuong_z: float = 2.0
+    most_over_noise: float = ERROR_RATIO
+    below_stated: float = 0.8
+    noise_known_within: float = KNOWN_WITHIN
+    slight_share: float = 0.01
+    negligible_share: float = 1e-3
+    small_share: float = 0.1
+    most_share: float = 0.5
+    most_named: int = 3
+    least_heldout: int = 1
+    max_unconfirmed: int = 0
+    max_refits: int = 6
+    own: tuple[OwnCheck, ...] = ()
+
+
+DEFAULT_RULES = Rules()
+
 
 #: Comparisons of a statistic with its limit.
 COMPARE = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
@@ -190,17 +272,15 @@ class OwnCheck:
             with must_end(f"{self.file}:{self.line}: statistic"):
                 value = float(self.statistic(residuals))
         except Exception as error:
-            frames = traceback.extract_tb(error.__traceback__)
-            lines = [f.lineno for f in frames if Path(f.filename) == self.file]
-            line = (lines[-1] if lines else None) or self.line
+            line = _line_in(self.file, error) or self.line
             message = f"{error_text(error)}; mend that"
-            raise InputError([Problem(self.file, line, None, "statistic", message)]) from error
+            raise InputError.at(self.file, message, line=line, key="statistic") from error
         if not np.isfinite(value):
             message = (
                 f"gives {value}; give a number for every study, and mind nan where a marker was "
                 "not seen (np.nanmean …)"
             )
-            raise InputError([Problem(self.file, self.line, None, "statistic", message)])
+            raise InputError.at(self.file, message, line=self.line, key="statistic")
         return value
 
 
@@ -215,7 +295,8 @@ def read_own_checks(paths: Sequence[Path | str], existing: Sequence[str] = ()) -
     for path in paths:
         check = _read(Path(path))
         if check.name in (*existing, *(c.name for c in checks)):
-            _refuse(check.file, 1, "name", f"{check.name!r} is taken; rename the file")
+            message = f"{check.name!r} is taken; rename the file"
+            raise InputError.at(check.file, message, key="name")
         checks.append(check)
     return checks
 
@@ -224,40 +305,39 @@ def _read(path: Path) -> OwnCheck:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; give a Python file with a check")
     if path.suffix != ".py" or path.stat().st_size > MAX_BYTES:
-        _refuse(path, 1, "file", f"must be a Python file (.py) of up to {MAX_BYTES} bytes")
+        message = f"must be a Python file (.py) of up to {MAX_BYTES} bytes"
+        raise InputError.at(path, message, key="file")
     try:
         source = path.read_text(encoding="utf-8")
         tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        line = getattr(error, "lineno", None) or 1
-        _refuse(path, line, "file", f"is not Python: {error_text(error)}; mend that")
+        line, message = getattr(error, "lineno", None) or 1, f"is not Python: {error_text(error)}"
+        raise InputError.at(path, f"{message}; mend that", line=line, key="file") from error
     question = (ast.get_docstring(tree) or "").strip().splitlines()
     defined = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == "statistic"]
     if not question or not question[0].endswith("?"):
-        _refuse(path, 1, "docstring", 'must ask a question; begin the file with """Is …?"""')
+        message = 'must ask a question; begin the file with """Is …?"""'
+        raise InputError.at(path, message, key="docstring")
     if len(defined) != 1:
-        _refuse(path, 1, "statistic", "is missing; write a function `statistic(residuals)`")
+        message = "is missing; write a function `statistic(residuals)`"
+        raise InputError.at(path, message, key="statistic")
     return _made(path.stem, question[0], path, defined[0].lineno, source)
 
 
 def _made(name: str, question: str, path: Path, line: int, source: str) -> OwnCheck:
-    """The check of a file with this source."""
-    return OwnCheck(name, question, path, line, _run(path, source).statistic, source)
-
-
-def _run(path: Path, source: str) -> Any:
+    """The check of a file with this source, which is run."""
     module = ModuleType(f"own_check_{path.stem}")
     module.__file__ = str(path)
     try:
         with must_end(f"{path}:1: its module"):
             exec(compile(source, str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
-                 if Path(f.filename) == path]  # fmt: skip
-        line = (lines[-1] if lines else None) or 1
-        _refuse(path, line, "file", f"{error_text(error)}; mend that")
-    return module
+        message = f"{error_text(error)}; mend that"
+        raise InputError.at(path, message, line=_line_in(path, error) or 1, key="file") from error
+    return OwnCheck(name, question, path, line, module.statistic, source)
 
 
-def _refuse(path: Path, line: int, key: str, message: str) -> None:
-    raise InputError([Problem(path, line, None, key, message)])
+def _line_in(file: Path, error: BaseException) -> int | None:
+    """The innermost line of a file in the traceback of an error."""
+    frames = reversed(traceback.extract_tb(error.__traceback__))
+    return next((f.lineno for f in frames if Path(f.filename) == file), None)

@@ -413,10 +413,8 @@ class _GroupLevels:
         mean, spread = np.full(markers, overall), np.full(markers, np.inf)
         for m in np.unique(marker):
             weight = 1.0 / (v[marker == m] + between)
-            mean[m], spread[m] = (
-                float(np.average(y[marker == m], weights=weight)),
-                1.0 / weight.sum(),
-            )
+            mean[m] = float(np.average(y[marker == m], weights=weight))
+            spread[m] = 1.0 / weight.sum()
         finite = np.isfinite(spread)
         q, dof = _cochran_q(mean[finite], spread[finite])
         of_markers = _variance_between(q, dof, _information(1.0 / spread[finite]))

@@ -54,8 +54,7 @@ class RestDrift:
         return (
             f"{self.trial}: the cable drifts by {self.moved_m * 1e3:.2g} mm in "
             f"{self.seconds:.2g} s before the gripper moves, noise {self.noise_m * 1e3:.2g} mm, "
-            "yet "
-            "`start: equilibrium` says that it rests; wait until it rests, or give "
+            "yet `start: equilibrium` says that it rests; wait until it rests, or give "
             "`start: moving` in study.yaml"
         )
 
@@ -109,9 +108,8 @@ def _drift(study: Study, trial: Trial) -> RestDrift | None:
     if moved_m < DRIFTS * noise_m:
         return None
     step_s = float(np.median(np.diff(trial.markers.t_s)))
-    unknowns = 2 * MODES
-    values = int(np.isfinite(xy_m).sum())
-    bearable = rest.degree < DRIFT_DEGREE and values >= VALUES * unknowns
+    enough = int(np.isfinite(xy_m).sum()) >= VALUES * 2 * MODES  # places and velocities
+    bearable = rest.degree < DRIFT_DEGREE and enough
     return RestDrift(trial.name, moved_m, rest.frames * step_s, noise_m, bearable)
 
 
@@ -139,14 +137,13 @@ def open_study(folder: Path) -> Study:
             message = _too_short(study, trial, facts[-1])
         if message is not None:
             last = len(trial.markers.t_s) + 1
-            problems.append(
-                Problem(folder / trial.name / "markers.csv", last, None, "t_s", message)
-            )
+            table = folder / trial.name / "markers.csv"
+            problems.append(Problem(table, last, None, "t_s", message))
     try:
         study = with_pull(study)
     except ValueError as error:
-        key = "gravity_m_per_s2"
-        problems.append(Problem(folder / "study.yaml", 1, None, key, str(error)))
+        header, key = folder / "study.yaml", "gravity_m_per_s2"
+        problems.append(Problem(header, 1, None, key, str(error)))
     if not study.role("fit"):
         message = "no trial has `role: fit`; mark at least one, the model is fitted to these"
         problems.append(Problem(folder / "study.yaml", 1, None, "trials", message))

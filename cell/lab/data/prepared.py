@@ -159,18 +159,13 @@ class PreparedStudy:
         """
         study = placed(study)
         noise_model = with_levels(study, noise_model_of(study))
-        noise = (
-            misfit
-            if misfit and misfit.std_m > ERROR_RATIO * noise_model.noise.std_m
-            else noise_model.noise
-        )
-        level_m = noise_model.noise.std_m
+        noise, level_m = noise_model.noise, noise_model.noise.std_m
+        if misfit is not None and misfit.std_m > ERROR_RATIO * level_m:
+            noise = misfit
         study, gauges = with_gauges(study, level_m, noise.std_m / level_m)
-        levels = noise_model.levels if noise == noise_model.noise else None
-        whiteners = whiteners_of(study, noise, gauges, levels=levels)
         return PreparedStudy(
-            study, noise_model, noise, whiteners, solver or SOLVER, work or Work(), gauges=gauges
-        )
+            study, noise_model, noise, {}, solver or SOLVER, work or Work(), gauges=gauges
+        ).rewhitened()
 
     def rewhitened(self, **changes: Any) -> PreparedStudy:
         """The same with changed fields, and new whiteners."""
@@ -426,10 +421,7 @@ def with_noise_model(
     if noise == prepared.noise and same and of_gauges is None:
         return replace(prepared, noise_model=noise_model)
     levelled = _with_gauge_scale(prepared, noise_model.noise.std_m, of_gauges)
-    whiteners = whiteners_of(
-        levelled.study, noise, levelled.gauges, levelled.lines, noise_model.levels
-    )
-    return replace(levelled, noise_model=noise_model, noise=noise, whiteners=whiteners)
+    return levelled.rewhitened(noise_model=noise_model, noise=noise)
 
 
 def _with_gauge_scale(

@@ -80,15 +80,8 @@ def initial_state_of(trial: Trial, cable: Cable, scale_m_per_s2: float) -> Initi
     pace_per_s = PACE * np.sqrt(scale_m_per_s2 / cable.free_length_m)
     place = PLACE_STD * wave[:places] ** 2
     velocity = PLACE_STD * pace_per_s * wave[:velocities]
-    of_delay = [RELEASE_STD_S] * delayed, [_DELAY_STEP_S] * delayed, [RELEASE_LIMIT_S] * delayed
-    std = np.concatenate([place, velocity])
-    step = np.concatenate([np.full(places, 1.0), np.full(velocities, pace_per_s)]) * _MODE_STEP
-    return InitialState(
-        delayed,
-        places,
-        velocities,
-        *(
-            np.concatenate([a, b])
-            for a, b in zip(of_delay, (std, step, _FARTHEST * std), strict=True)
-        ),
-    )
+    steps = np.full(places, _MODE_STEP), np.full(velocities, pace_per_s * _MODE_STEP)
+    std = np.concatenate([[RELEASE_STD_S] * delayed, place, velocity])
+    step = np.concatenate([[_DELAY_STEP_S] * delayed, *steps])
+    limit = np.concatenate([[RELEASE_LIMIT_S] * delayed, _FARTHEST * place, _FARTHEST * velocity])
+    return InitialState(delayed, places, velocities, std, step, limit)

@@ -15,7 +15,6 @@ from scipy.special import ndtr as normal_cdf
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.cable.model import CableModel
-from cell.cable.solver import Solver
 from cell.identify.noise import still_frames
 from cell.lab.data.noise_likelihood import ProjectedResidual
 from cell.lab.data.noise_model import noise_model_of_all_frames, with_level_in
@@ -137,13 +136,8 @@ SLOPE_STEP = 0.005
 def finer(prepared: PreparedStudy) -> PreparedStudy:
     """The prepared study with a finer mesh and a shorter time step."""
     coarse = prepared.solver
-    return replace(
-        prepared,
-        slope_solver=None,
-        solver=Solver(
-            FINER * coarse.segments, coarse.step_s / FINER, coarse.damping, coarse.threads
-        ),
-    )
+    fine = replace(coarse, segments=FINER * coarse.segments, step_s=coarse.step_s / FINER)
+    return replace(prepared, slope_solver=None, solver=fine)
 
 
 def mesh_error_m(prepared: PreparedStudy, fit: Fit) -> dict[str, FloatArray]:

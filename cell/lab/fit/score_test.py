@@ -1,4 +1,7 @@
-"""Score tests on whitened residuals: χ² that an effect would explain beyond the fitted model."""
+"""Score tests on whitened residuals: χ² that an effect would explain beyond the fitted model.
+
+The screen tests every effect of a library so, with one simulation of each.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,19 @@ from scipy.special import chdtrc as chi2_sf
 from scipy.special import ndtr as normal_cdf
 
 from cell.cable.arrays import FloatArray
+from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
-from cell.lab.fit.projection import Projection
+from cell.lab.data.prepared import PreparedStudy
+from cell.lab.fit.fitting import Fit
+from cell.lab.fit.projection import Projection, nuisance_of
+from cell.lab.fit.sensitivity import one_sided, sensitivities
 
 #: Draws behind the p-value of a maximum over shapes; below a few of them Bonferroni is used.
 DRAWS = 20_000
 MIN_EXCEEDING = 20
 #: Shapes are nearly the same if what they explain correlates by more than this.
 SAME_SHAPE = 0.9
-MOST_SHAPES = 8
+MOST_DISTINCT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +103,7 @@ def _distinct(scores: list[_ShapeScore]) -> list[_ShapeScore]:
     units: list[FloatArray] = []
     for score in scores:
         size = float(np.linalg.norm(score.explained))
-        if len(distinct) == MOST_SHAPES or score.signed <= 0.0 or size == 0.0:
+        if len(distinct) == MOST_DISTINCT or score.signed <= 0.0 or size == 0.0:
             break
         unit = score.explained / size
         if all(abs(float(unit @ u)) < SAME_SHAPE for u in units):
@@ -144,3 +151,46 @@ def boundary_p_value(delta_chi2: float, parameters: int, bounded: int, shapes: i
         below = float(chi2_sf(parameters - 1, max(delta_chi2, 0.0))) if parameters > 1 else 0.0
         tail = 0.5 * (tail + below)
     return min(1.0, tail * shapes)
+
+
+#: An effect with more start shapes than this acts at a place that must be searched.
+MOST_SHAPES = 50
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenedEffect:
+    """An effect's score test, and parameter values from which refits should start, best first."""
+
+    effect: type[Effect]
+    score: Score
+    starts: tuple[FloatArray, ...]
+
+
+def screen(
+    prepared: PreparedStudy, fit: Fit, effects: Sequence[type[Effect]]
+) -> list[ScreenedEffect]:
+    """Score tests of effects against a fit, the likeliest first.
+
+    All effects, at every guess of their shape parameters, go into one batch per trial.
+    """
+    nuisance = nuisance_of(fit)
+    screened = []
+    for sensitivity in sensitivities(prepared, fit, effects):
+        effect = sensitivity.effect
+        score = score_test(nuisance, sensitivity.rows, one_sided=one_sided(effect))
+        starts = tuple(
+            _start(effect, sensitivity.values[shape], amplitude)
+            for shape, amplitude in ((score.shape, score.amplitude), *score.others)
+        )
+        screened.append(ScreenedEffect(effect, score, starts))
+    return sorted(screened, key=lambda s: (s.score.p_value, -s.score.statistic))
+
+
+def _start(effect: type[Effect], guess: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Parameter values of the guess, amplitudes as the score expects them, within bounds."""
+    values = guess.copy()
+    expected = iter(np.atleast_1d(amplitude))
+    for i, p in enumerate(effect.parameters):
+        if p.amplitude:
+            values[i] = np.clip(p.default + next(expected), p.low, p.high)
+    return values

@@ -20,7 +20,7 @@ from cell.identify.fit import variance_inflation
 from cell.identify.noise import across
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.noise_model import noise_model_of
-from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain, whiteners_of
+from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain
 from cell.lab.data.work import Work
 from cell.lab.fit.corrections import lines_of
 from cell.lab.fit.fitting import space_with
@@ -37,8 +37,7 @@ def prepared_cycle(study: Study, work: Work | None = None) -> PreparedStudy:
     """The prepared study of a cycle; simulations count as `work`.  Raises NoiseUnknownError."""
     noise_model = noise_model_of(study)
     noise = replace(noise_model.noise, bias_m=BIAS_M)
-    whiteners = whiteners_of(study, noise)
-    return PreparedStudy(study, noise_model, noise, whiteners, SOLVER, work or Work())
+    return PreparedStudy(study, noise_model, noise, {}, SOLVER, work or Work()).rewhitened()
 
 
 def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
@@ -53,8 +52,7 @@ def along_lines(fit: SharedFit) -> list[PreparedStudy] | None:
     for i, cable in enumerate(fit.cables):
         if not cable.lines and arcs_are_uncertain(cable.study):
             lines = lines_of(cable, fit.model(i), {})
-            whiteners = whiteners_of(cable.study, cable.noise, cable.gauges, lines)
-            cable, changed = replace(cable, whiteners=whiteners, lines=lines), True
+            cable, changed = cable.rewhitened(lines=lines), True
         cables.append(cable)
     return cables if changed else None
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
@@ -14,10 +15,11 @@ from cell.cable.effects.base import Effect
 from cell.files.words import counted
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.data.thresholds import SIGNIFICANCE
 from cell.lab.fit.fitting import Fit, start_from
+from cell.lab.fit.score_test import ScreenedEffect, screen
 from cell.lab.fit.sensitivity import shapes_of
 from cell.lab.fit.shared import (
     PASSES,
@@ -42,7 +44,6 @@ from cell.lab.line.effect_fit import (
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import holm_among
 
 #: Number of cables that effects are first fitted to.
@@ -118,48 +119,38 @@ class CablesSpace:
     others: Sequence[type[Effect]]
     budget: LearningBudget
     progress: Progress
-    _alone: list[SharedFit] = field(default_factory=list, init=False)
-    _all: list[SharedFit] = field(default_factory=list, init=False)
 
     @property
     def few(self) -> tuple[PreparedStudy, ...]:
         """The cables that effects are first fitted to."""
         return self.prepared[:TRIED_ON]
 
-    def fit_alone(self) -> Sequence[SharedFit]:
-        """Fits of the present model to each cable alone; cached."""
-        if not self._alone:
-            self.progress("fitting the present model")
-            each = enumerate(self.prepared)
-            self._alone.extend(
-                fit_shared([p], self.base, self.plausible[i : i + 1]) for i, p in each
-            )
-        return self._alone
+    @cached_property
+    def alone(self) -> list[SharedFit]:
+        """Fits of the present model to each cable alone."""
+        self.progress("fitting the present model")
+        starts = zip(self.prepared, self.plausible, strict=True)
+        return [fit_shared([cable], self.base, q[None]) for cable, q in starts]
 
-    def fit_without_effects(self) -> LearningResult:
-        """Result without effects: the present model fitted to all cables; cached."""
-        if not self._all:
-            q = np.vstack([alone.q for alone in self.fit_alone()])
-            self._all.append(fit_shared(self.prepared, self.base, q))
-        return LearningResult(self.cycles, self._all[0])
+    @cached_property
+    def without_effects(self) -> LearningResult:
+        """Result without effects: the present model fitted to all cables."""
+        q = np.vstack([alone.q for alone in self.alone])
+        return LearningResult(self.cycles, fit_shared(self.prepared, self.base, q))
 
     def extended(self, result: LearningResult) -> list[EffectFit]:
         """The effects of a result and one more, fitted to the few cables, the best first."""
         best = result.best
         if best is None:
-            return self._one_effect_more(self.fit_alone()[:TRIED_ON], self.others, None)
+            return self._one_effect_more(self.alone[:TRIED_ON], self.others, None)
         if not self.budget.allows(SECOND, f"effects with {best.effect.name}"):
             return []
         self.progress(f"looking for what {best.effect.name} leaves")
-        remaining = [e for e in self.others if e not in best.effects]
-        return self._one_effect_more(self._each_with(best), remaining, result.ranking[0])
-
-    def _each_with(self, best: EffectFit) -> list[SharedFit]:
-        """The few cables, each fitted alone with the effects of `best`."""
-        fit = best.fit
-        return [
+        remaining, fit = [e for e in self.others if e not in best.effects], best.fit
+        each = [
             fit_shared([p], fit.space, fit.coordinates(i)[None]) for i, p in enumerate(self.few)
         ]
+        return self._one_effect_more(each, remaining, result.ranking[0])
 
     def select(self, result: LearningResult, tried: Sequence[EffectFit]) -> list[LearningResult]:
         """The result with the best of these, fitted to all cables; empty if not significant.
@@ -178,7 +169,7 @@ class CablesSpace:
         if single is not None:
             with suppress(*UNSIMULATED):  # a cable may not be simulable with it alone
                 # ties with the first effect also hold without it
-                alone = self.fitted_to_all(self.fit_without_effects(), [single])
+                alone = self.fitted_to_all(self.without_effects, [single])
                 selected = replace(alone, tied=selected.tied)
         return [selected]
 
@@ -191,7 +182,7 @@ class CablesSpace:
         space = replace(self, prepared=tuple(moving))
         tried = [result.best, *result.ranking[1:]]
         try:
-            refitted = space.fitted_to_all(space.fit_without_effects(), tried)
+            refitted = space.fitted_to_all(space.without_effects, tried)
         except UNSIMULATED:
             return result
         return replace(refitted, tied=result.tied, ranking=result.ranking)
@@ -278,8 +269,9 @@ class CablesSpace:
         fits: list[tuple[type[Effect], SharedFit]] = []
         for effect in chosen:
             best_chi2 = min((fit.chi2 for _, fit in fits), default=np.inf)
-            if self._cannot_win(own, effect, best_chi2):
-                continue
+            alone_chi2 = [o[effect.name].fit.objective for o in own if effect.name in o]
+            if len(alone_chi2) == len(own) and sum(alone_chi2) > FAR_ABOVE * best_chi2:
+                continue  # its fits to single cables leave far more than another's joint fit
             if fits and not self.budget.allows(REFITS, f"a fit with {effect.name}"):
                 continue
             self.progress(f"refitting with {effect.name}")
@@ -348,13 +340,6 @@ class CablesSpace:
             solutions.append({c.effects[-1].name: c for c in candidates})
         return solutions
 
-    def _cannot_win(
-        self, own: Sequence[dict[str, FittedModel]], effect: type[Effect], best_chi2: float
-    ) -> bool:
-        """Whether even its fits to single cables leave far more than another's joint fit."""
-        fits = [o[effect.name].fit for o in own if effect.name in o]
-        return len(fits) == len(own) and sum(f.objective for f in fits) > FAR_ABOVE * best_chi2
-
     def last_alone(self, pair: EffectFit) -> EffectFit | None:
         """The last of two effects without the first, if it explains as much as both.
 
@@ -367,7 +352,7 @@ class CablesSpace:
             fit = self._fit(self.few, pair.fit.q, (pair.effect,), values, ALL_PASSES)
         except UNSIMULATED:
             return None
-        fall = (sum(a.chi2 for a in self.fit_alone()[:TRIED_ON]) - fit.chi2) / fit.inflation
+        fall = (sum(a.chi2 for a in self.alone[:TRIED_ON]) - fit.chi2) / fit.inflation
         p_value = min(1.0, len(self.others) * float(chi2_sf(len(fit.theta), max(fall, 0.0))))
         excess = (fit.chi2 - pair.fit.chi2) / pair.fit.inflation
         tied = excess < max(TIE, SIMULATED**2 * fall)

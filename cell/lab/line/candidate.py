@@ -20,7 +20,7 @@ from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.forecasts import ForecastPair, forecasts
 from cell.lab.line.learning_checks import (
     LineEvidence,
-    forecast_better,
+    gain_p_value,
     gate_outcomes,
     learning_outcomes,
     learning_verdict,
@@ -86,8 +86,8 @@ def best_judged(
     pairs = zip(without.paired, judgement.paired, strict=True)
     gained = [replace(after, present=before.candidate) for before, after in pairs]
     evidence = LineEvidence(result, gained)
-    rules = evidence.rules
-    helps = len(gained) >= rules.fewest and forecast_better(evidence).value <= rules.significance
+    gain = gain_p_value(evidence)
+    helps = gain is not None and gain.value <= evidence.rules.significance
     if judgement.fit_for_line and helps:
         return result, judgement
     return simpler, without

@@ -93,11 +93,8 @@ def forecasts(
         kind = with_effect(options.kind, result.best, result.best.fit.without(i), result)
         before = at_present.get(cycle.name) or _forecast(cycle, cable, options, destination)
         after = _forecast(cycle, cable, replace(options, kind=kind), destination)
-        executed = cycle.executed is not None
-        of: Literal["execution", "rest of the hold"] = (
-            "execution" if executed else "rest of the hold"
-        )
-        pairs.append(ForecastPair(cycle.name, before, after, of))
+        pair = ForecastPair(cycle.name, before, after)
+        pairs.append(replace(pair, of="rest of the hold") if cycle.executed is None else pair)
     return pairs
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TextIO
 
-from cell.files.input_error import InputError, Problem
+from cell.files.input_error import InputError
 from cell.files.rescue import naming
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.recordings import IdentifiedAgain, Packed, identified_again
@@ -46,10 +46,10 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
     afresh  any existing file is overwritten, and no row is known
     raises  InputError: the file is another table; OSError
     """
-    rows: dict[str, IdentifiedAgain] = {}
-    complete = 0
-    if path.exists() and not afresh:
-        rows, complete = _read(path)
+    content = path.read_bytes() if path.exists() and not afresh else b""
+    rows = rows_of(path) if content else ()
+    known = {row.recording: replace(row, parameters=None) for row in rows}
+    complete = content.rfind(b"\n") + 1  # bytes in complete lines
     file = path.open("r+" if complete else "w", encoding="utf-8", newline="")
     try:
         if complete:
@@ -57,7 +57,7 @@ def identified_table(path: Path, *, afresh: bool = False) -> Iterator[Identified
             file.seek(0, os.SEEK_END)
         else:
             file.write(",".join(COLUMNS) + "\n")
-        yield IdentifiedTable(file, rows)
+        yield IdentifiedTable(file, known)
     finally:
         with naming(path):  # on a full disk the last write is repeated
             file.close()
@@ -75,15 +75,6 @@ def rows_of(path: Path) -> Iterator[IdentifiedAgain]:
                     raise _wrong(path, 1, "is no table of `cell identify --all`")
             elif line.endswith(b"\n"):  # an incomplete one may end within a character
                 yield _row(path, number, line)
-
-
-def _read(path: Path) -> tuple[dict[str, IdentifiedAgain], int]:
-    """Rows by recording, and the number of bytes in complete lines."""
-    content = path.read_bytes()
-    if not content:
-        return {}, 0
-    rows = {row.recording: replace(row, parameters=None) for row in rows_of(path)}
-    return rows, content.rfind(b"\n") + 1
 
 
 def _line(row: IdentifiedAgain) -> str:
@@ -118,8 +109,7 @@ def _row(path: Path, number: int, line: bytes) -> IdentifiedAgain:
 
 
 def _wrong(path: Path, line: int, problem: str) -> InputError:
-    message = f"{problem}; give another file, or --force to begin anew"
-    return InputError([Problem(path, line, None, "", message)])
+    return InputError.at(path, f"{problem}; give another file, or --force to begin anew", line=line)
 
 
 FORMAT = "cable-identified/1"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -37,21 +38,17 @@ class _Unidentified:
     by_model: bool = False
 
 
-@dataclass(frozen=True)
-class _IdentifiedBy:
-    """Callable: a cycle's cable identified from its hold, or why that failed."""
-
-    cable: Cable
-    options: IdentifyOptions
-
-    def __call__(self, cycle: RecordedCycle) -> Identified | _Unidentified:
-        if (unfit := _unfit(cycle.study)) is not None:
-            return _Unidentified(unfit)
-        trial = cycle.held or cycle.study.trials[0]
-        try:
-            return identify(trial, cycle.study.arc_length_m, self.cable, options=self.options)
-        except CableRejectedError as error:
-            return _Unidentified(str(error), error.reason is Reason.NO_FIT)
+def _identified(
+    cable: Cable, options: IdentifyOptions, cycle: RecordedCycle
+) -> Identified | _Unidentified:
+    """A cycle's cable identified from its hold, or why that failed."""
+    if (unfit := _unfit(cycle.study)) is not None:
+        return _Unidentified(unfit)
+    trial = cycle.held or cycle.study.trials[0]
+    try:
+        return identify(trial, cycle.study.arc_length_m, cable, options=options)
+    except CableRejectedError as error:
+        return _Unidentified(str(error), error.reason is Reason.NO_FIT)
 
 
 def _unfit(study: Study) -> str | None:
@@ -79,7 +76,7 @@ def identified_cables(
     """Cycles with the identified model of their cable; the budget notes cycles that have none."""
     usable = []
     progress(f"identifying {counted(len(cycles), 'cable')}")
-    with closing(executor.map(_IdentifiedBy(cable, options), cycles)) as results:
+    with closing(executor.map(partial(_identified, cable, options), cycles)) as results:
         for cycle, result in zip(cycles, results, strict=True):
             identified = result.value
             if isinstance(identified, _Unidentified):
@@ -181,10 +178,9 @@ def learn(
 
 def _learned(space: CablesSpace, known: Callable[[LearningResult], None]) -> LearningResult:
     """The effects that the present model of some cables lacks."""
-    if (shifted := along_lines(space.fit_without_effects().baseline)) is not None:
+    if (shifted := along_lines(space.without_effects.baseline)) is not None:
         space = replace(space, prepared=tuple(shifted))
-    without_effects = result = space.fit_without_effects()
-    known(without_effects)
+    known(without_effects := space.without_effects)
     if negligible(without_effects.baseline):
         return without_effects
     for step, (result,) in enumerate(levels(without_effects, space.extended, space.select)):
@@ -205,10 +201,10 @@ def negligible(fit: SharedFit) -> bool:
     """
     if fit.rms_m**2 - fit.noise_m**2 >= NEGLIGIBLE_M**2:
         return False
-    return end_offset_p_value(fit) < CHANCE
+    return end_offset_stds(fit) < CHANCE
 
 
-def end_offset_p_value(fit: SharedFit) -> float:
+def end_offset_stds(fit: SharedFit) -> float:
     """Mean offset of detected from predicted cable ends, along the cable, in its own std."""
     offset_m = fit.end_offset_m
     return abs(float(offset_m.mean())) * float(np.sqrt(len(offset_m))) / fit.end_std_m

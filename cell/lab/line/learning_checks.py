@@ -8,20 +8,20 @@ judged by the size of the error and by forecasts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
+from cell.lab.data.check import DEFAULT_RULES, Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.results import Verdict
-from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair
-from cell.lab.line.learn import CHANCE, end_offset_p_value
+from cell.lab.line.learn import CHANCE, end_offset_stds
+from cell.lab.verdict.checks import CHECKS
 from cell.plan.destination import Destination
 
 #: Fewest forecasts for a rank test; with fewer none may become worse by more than noise.
@@ -32,7 +32,7 @@ RANKED_FROM = 5
 class LineRules:
     """Limits at which a line's model is complete, and a candidate good enough for the line.
 
-    error_over_noise, most_named, noise_known_within   as in a diagnosis
+    most_over_noise, most_named, noise_known_within   as in a diagnosis
     chance               largest deviation attributed to chance, standard deviations
     fewest               minimum number of forecasts to test a candidate
     least_gain, least_gain_m   required relative and absolute improvement of forecasts
@@ -47,7 +47,7 @@ class LineRules:
                          a different effect
     """
 
-    error_over_noise: float = DEFAULT_RULES.most_over_noise
+    most_over_noise: float = DEFAULT_RULES.most_over_noise
     most_named: int = DEFAULT_RULES.most_named
     noise_known_within: float = KNOWN_WITHIN
     chance: float = CHANCE
@@ -94,10 +94,9 @@ class LineEvidence:
     @property
     def errors_m(self) -> tuple[FloatArray, FloatArray]:
         """(differing,) tip errors in the destination, of the present model and the candidate."""
-        return (
-            np.array([f.present.error_m for f in self.differing]),
-            np.array([f.candidate.error_m for f in self.differing]),
-        )
+        pairs = [(f.present.error_m, f.candidate.error_m) for f in self.differing]
+        before, after = np.array(pairs).reshape(-1, 2).T
+        return before, after
 
 
 def error_ratio(evidence: LineEvidence) -> Reading | None:
@@ -107,7 +106,7 @@ def error_ratio(evidence: LineEvidence) -> Reading | None:
 
 def ends_beyond(evidence: LineEvidence) -> Reading | None:
     """Mean offset of detected from predicted ends, along the cable, in standard deviations."""
-    return Reading(end_offset_p_value(evidence.fit))
+    return Reading(end_offset_stds(evidence.fit))
 
 
 def most_tied(evidence: LineEvidence) -> Reading | None:
@@ -138,16 +137,14 @@ def _enough(evidence: LineEvidence) -> bool:
 
 
 def gain_p_value(evidence: LineEvidence) -> Reading | None:
-    """p-value of the improvement of forecasts; None if there are too few."""
-    return forecast_better(evidence) if _enough(evidence) else None
-
-
-def forecast_better(evidence: LineEvidence) -> Reading:
     """p-value of the improvement of forecasts; 1 if the tip in the destination improves too little.
 
-    A small effect is below a single frame's noise; all frames together show it.
+    None if there are too few forecasts.  A small effect is below a single frame's noise; all frames
+    together show it.
     """
     rules = evidence.rules
+    if not _enough(evidence):
+        return None
     before, after = evidence.errors_m
     path_before, path_after = np.array(
         [(f.present.rms_m, f.candidate.rms_m) for f in evidence.differing]
@@ -258,17 +255,24 @@ def spread_p_value(evidence: LineEvidence) -> Reading | None:
     return min(readings, key=lambda r: r.value, default=none_fitted)
 
 
+def _as_for_a_study(
+    name: str,
+    statistic: Callable[[LineEvidence], Reading | None],
+    failed: str,
+    question: str | None = None,
+) -> Check[LineEvidence]:
+    """A check of a diagnosis, for many cables: with another statistic and another sentence."""
+    (c,) = [check for check in CHECKS if check.name == name]
+    question = c.question if question is None else question
+    return Check(name, question, c.unit, statistic, c.passes, c.limit, c.failing, failed, c.reason)
+
+
 LEARNING: tuple[Check[LineEvidence], ...] = (
-    Check(
+    _as_for_a_study(
         "fitted_error",
-        "Is the error on all cables as small as the noise?",
-        "error / noise",
         error_ratio,
-        "<=",
-        "error_over_noise",
-        "unexplained",
         "The model misses more than noise.",
-        "the ratio of error and noise; converged simulators of one cable differ by less than 10 %",
+        "Is the error on all cables as small as the noise?",
     ),
     Check(
         "ends_beyond",
@@ -281,27 +285,11 @@ LEARNING: tuple[Check[LineEvidence], ...] = (
         "All cables' ends are seen elsewhere along the cable than the model has them.",
         "the mean over cables; a single one may be seen 0.05 mm further along in all its pictures",
     ),
-    Check(
-        "ties",
-        "How many effects explain the error equally well?",
-        "effects",
-        most_tied,
-        "<=",
-        "most_named",
-        "cannot_tell",
-        "These cycles cannot tell them apart.",
-        "their number: up to three candidates can be tested, more cannot",
-    ),
-    Check(
+    _as_for_a_study("ties", most_tied, "These cycles cannot tell them apart."),
+    _as_for_a_study(
         "noise_unknown",
-        "Is the noise known well enough?",
-        "mean square ratio",
         noise_range,
-        "<",
-        "noise_known_within",
-        "cannot_tell",
         "The frames at rest are too few to decide whether the error is noise.",
-        "the largest noise that the rest allows: noise plus an error as large must exceed it",
     ),
 )
 

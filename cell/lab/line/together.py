@@ -17,8 +17,8 @@ from scipy.special import stdtrit as t_quantile
 
 from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
+from cell.lab.data.check import Rules
 from cell.lab.data.results import Verdict
-from cell.lab.data.thresholds import Rules
 from cell.lab.fit.shared import Spread
 from cell.lab.line.cables_space import ranked_by_screens
 from cell.lab.search.fitted_model import FittedModel
@@ -272,10 +272,9 @@ def _parts(
 ) -> tuple[tuple[StudyPart, ...], tuple[Consistency, ...]]:
     """Each study's part, and consistency of the parameters where effects are not excluded."""
     evidence = [Evidence(s.fits.with_rules(rules), m) for s, m in zip(studies, models, strict=True)]
-    shows = [_shows(s, m, best) for s, m in zip(studies, models, strict=True)]
     says: list[Says | Literal[""]] = ["" for _ in studies]
     if best.effects:
-        says = _evidence_of_studies(evidence, best, shows)
+        says = _evidence_of_studies(evidence, best)
     parts = tuple(
         StudyPart(
             study.fits.prepared.study.name,
@@ -301,23 +300,24 @@ def _explained(study: Examination, with_effects: Evidence, says: str) -> bool:
     return any(explains(e) for e in ([] if says == "shows" else [without]) + [with_effects])
 
 
-def _shows(study: Examination, model: FittedModel, best: Hypothesis) -> bool:
+def _shows(evidence: Evidence, best: Hypothesis) -> bool:
     """Whether every effect is significant in a study by itself."""
-    for effect in (e for e in model.effects if e.name in best.effects):
-        without = study.fits.fit_reduced(model, effect)
-        if study.fits.gain(without, model).p_value >= study.fits.rules.significance:
-            return False
-    return True
+    fits, model = evidence.fits, evidence.final
+    return all(
+        fits.gain(fits.fit_reduced(model, effect), model).p_value < fits.rules.significance
+        for effect in model.effects
+        if effect.name in best.effects
+    )
 
 
 def _evidence_of_studies(
-    evidence: Sequence[Evidence], best: Hypothesis, shows: Sequence[bool]
+    evidence: Sequence[Evidence], best: Hypothesis
 ) -> list[Says | Literal[""]]:
     """Evidence per study; it excludes the effects if its amplitude is far from the others'."""
-    says: list[Says | Literal[""]] = ["shows" if s else "cannot tell" for s in shows]
-    if not any(shows):
+    showing = np.array([_shows(e, best) for e in evidence])
+    says: list[Says | Literal[""]] = ["shows" if shows else "cannot tell" for shows in showing]
+    if not showing.any():
         return says
-    showing = np.array(shows)
     for name in _parameters(evidence[0], best, amplitudes=True):
         q, std = _coordinates(evidence, name)
         mean = pool(q[showing], std[showing])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -159,9 +160,5 @@ def after_discovery(
 
 def _new_law(used: Iterable[str]) -> str:
     """A new name for a law."""
-    names, number = set(used), 2
-    if "discovered" not in names:
-        return "discovered"
-    while f"discovered_{number}" in names:
-        number += 1
-    return f"discovered_{number}"
+    names = itertools.chain(["discovered"], map("discovered_{}".format, itertools.count(2)))
+    return next(itertools.filterfalse(set(used).__contains__, names))

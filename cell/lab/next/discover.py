@@ -13,8 +13,8 @@ import numpy as np
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.cable.effects.base import Parameter
 from cell.files.atomic import write_atomic
+from cell.lab.data.check import Rules
 from cell.lab.data.results import Interval
-from cell.lab.data.thresholds import Rules
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.terms import NAMESPACE, Term, admissible
 from cell.lab.search.fit_cache import FitCache, with_joined
@@ -208,11 +208,10 @@ def _why_nothing(examination: Examination, base: FittedModel) -> str:
         )
     nearest = min(examination.singles, key=_error, default=base)
     nearby = ""
-    stopped = any(w.code == "interrupted" for w in examination.diagnosis.warnings)
     if nearest is not base:
         name = next(iter(nearest.names - base.names))
         nearby = f"; the nearest, {name}, would leave {_error(nearest) * 1e3:.4f} mm"
-    if stopped:
+    if "interrupted" in examination.diagnosis.codes:
         return f"interrupted: no law is confirmed so far ({misses}){nearby}; nothing written"
     return (
         "no admissible law is significant and confirmed on held-out trials: the model is not "

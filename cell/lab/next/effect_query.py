@@ -57,16 +57,12 @@ def effect_queries(
 
 def _query(text: str) -> EffectQuery:
     name, equals, size = text.rpartition("=") if "=" in text else (text, "", "")
-    name, amplitude = (name, "") if name.endswith(".py") else _split(name)
+    amplitude = ""
+    if "." in name and not name.endswith(".py"):  # NAME.PARAMETER, of file.py.PARAMETER too
+        name, _, amplitude = name.rpartition(".")
     effect = effect_named(name)
     parameter = _amplitude(text, effect, amplitude)
     return EffectQuery(effect, parameter, _size(text, parameter, size) if equals else None)
-
-
-def _split(name: str) -> tuple[str, str]:
-    """NAME and PARAMETER of NAME.PARAMETER, of file.py.PARAMETER too."""
-    before, dot, amplitude = name.rpartition(".")
-    return (before, amplitude) if dot else (name, "")
 
 
 def _amplitude(text: str, effect: type[Effect], name: str) -> Parameter:

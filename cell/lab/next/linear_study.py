@@ -17,11 +17,10 @@ from scipy.linalg import block_diag
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import Fit
 from cell.lab.fit.projection import is_distinct, prior_root
 from cell.lab.fit.sensitivity import one_sided
-from cell.lab.fit.systematic_error import MOTIONS
+from cell.lab.fit.systematic_error import MOTIONS, AllTrialsFit
 from cell.lab.verdict.check_statistics import directions_of_trials
 from cell.lab.verdict.smooth_part import AllTrialsResidual, all_trials_residual
 

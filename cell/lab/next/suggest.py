@@ -26,8 +26,8 @@ from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_cable
 from cell.lab.next.effect_query import EffectQuery
-from cell.lab.next.planned import planned_trials
-from cell.lab.next.suggestion import TURN_RAD, Option, Stroke, Suggestion, strokes
+from cell.lab.next.motion_file import TURN_RAD, Option, Stroke, Suggestion, strokes
+from cell.lab.next.simulated import planned_trials
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.conclusion import Examination
@@ -196,7 +196,9 @@ def _evaluated(
 ) -> Option | str:
     """A stroke from a safe start with its separation and power; or the reason of its refusal."""
     # The likeliest cable gives a first start quickly, if there is any.
-    planned, trial = _trial(prepared, stroke, surroundings)
+    rate_hz = surroundings.frame_rate_hz
+    frame_s = None if rate_hz is None else 1.0 / rate_hz
+    planned, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
     (predicted,), cable = _predicted(planned, trial, [candidates[0].model])
     start = _start(stroke, cable, np.zeros_like(cable), surroundings, rest_low_m)
     if isinstance(start, str):
@@ -265,16 +267,6 @@ def _rest_low_m(
                 return -prepared.study.cable.length_m
             low = min(low, float(rest_m.min()))
     return low - MODEL_ERROR_M
-
-
-def _trial(
-    prepared: PreparedStudy, stroke: Stroke, surroundings: Surroundings
-) -> tuple[PreparedStudy, Trial]:
-    """A stroke as a planned trial, and the study with that trial's wrench."""
-    rate_hz = surroundings.frame_rate_hz
-    frame_s = None if rate_hz is None else 1.0 / rate_hz
-    planned, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())], frame_s)
-    return planned, trial
 
 
 def _predicted(

@@ -24,18 +24,18 @@ _WEIGHTED = "weighted along the cable as (s/L)^m, of which c = (m + 1)/(m + 2) i
 class Term:
     """One force or moment law, as source text.
 
-    hook         "force" (adds to fx, fy, N/m) or "moment" (adds to moment, N·m)
     law          for the docstring
     lines        Python that uses `at`, `p`, `cable`
     dissipative  whether it can only take energy out
+    hook         "force" (adds to fx, fy, N/m) or "moment" (adds to moment, N·m)
     """
 
     name: str
-    hook: str
     law: str
     numbers: tuple[Parameter, ...]
     lines: tuple[str, ...]
     dissipative: bool = False
+    hook: str = "force"
 
     @property
     def effect(self) -> str:
@@ -95,14 +95,12 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
     return (
         Term(
             "constant_field",
-            "force",
             "constant force (a, b) per metre",
             (_size("field_x", "N/m", 1e-3), _size("field_y", "N/m", 1e-3)),
             ("fx += p.field_x", "fy += p.field_y"),
         ),
         Term(
             "gradient_field",
-            "force",
             "linear force field from the potential −(a x²/2 + b x y + c y²/2) per metre",
             (
                 _size("slope_xx", "N/m²", 1e-2),
@@ -116,7 +114,6 @@ def _fields(box_m: tuple[float, float, float, float]) -> tuple[Term, ...]:
         ),
         Term(
             "spring",
-            "force",
             f"force (a − k x, b − k y) per metre, that of a spring to a point, {_WEIGHTED}",
             (
                 _size("spring_x", "N/m", 1e-3),
@@ -139,7 +136,6 @@ def _drags() -> tuple[Term, ...]:
     return (
         Term(
             "drag_along",
-            "force",
             "drag c v_t per metre along the cable",
             (_size("drag_along", "N·s/m²", 5e-3, True),),
             (
@@ -151,7 +147,6 @@ def _drags() -> tuple[Term, ...]:
         ),
         Term(
             "power_drag",
-            "force",
             f"drag c |v_n|^n per metre across the cable, stated at {REFERENCE_SPEED:g} m/s",
             (_size("power_drag", "N/m", 5e-3, True), _power("drag_exponent", 3.0, 1.5, 0.5)),
             (
@@ -164,7 +159,6 @@ def _drags() -> tuple[Term, ...]:
         ),
         Term(
             "crossflow_drag",
-            "force",
             "drag c |v_t| v_n per metre across the cable: it grows with the speed along it",
             (_size("crossflow_drag", "N·s²/m³", 1e-2, True),),
             (
@@ -184,7 +178,6 @@ def _lifts() -> tuple[Term, ...]:
     return (
         Term(
             "lift_across_path",
-            "force",
             f"lift l |v|^n per metre across the velocity, stated at {REFERENCE_SPEED:g} m/s",
             (_size("path_lift", "N/m", 5e-3), _power("path_exponent", 2.0, 1.0)),
             (
@@ -195,7 +188,6 @@ def _lifts() -> tuple[Term, ...]:
         ),
         Term(
             "lift_across_cable",
-            "force",
             f"lift l |v|^n per metre to one side of the cable, stated at {REFERENCE_SPEED:g} m/s",
             (_size("side_lift", "N/m", 5e-3), _power("side_exponent", 2.0, 1.0)),
             (
@@ -213,7 +205,6 @@ def _sheared_wind(box_m: tuple[float, float, float, float]) -> Term:
     winds, shears = (0.0, 0.3, -0.3), (0.0, 4.0, -4.0)
     return Term(
         "sheared_wind",
-        "force",
         "drag c |w| w per metre across the cable, w its velocity in a wind "
         f"(a + b (y − {y:.3g}), c + d (x − {x:.3g}))",
         (
@@ -240,7 +231,6 @@ def _moments() -> tuple[Term, ...]:
     return (
         Term(
             "curved_stiffness",
-            "moment",
             "moment EI b κ · κ²/(1 + u κ²): stiffness that changes with curvature, without end or "
             f"up to a level, stated at {REFERENCE_CURVATURE:g} 1/m",
             (
@@ -253,10 +243,10 @@ def _moments() -> tuple[Term, ...]:
                 f"(1.0 + p.levels * {reference}) / {reference}",
                 "moment += p.stiffer * at.rigidity * at.curvature * share",
             ),
+            hook="moment",
         ),
         Term(
             "dry_bending",
-            "moment",
             "moment M κ̇/√(κ̇² + r²): friction without memory",
             (
                 _size("dry_moment", "N·m", 1e-6, True),
@@ -264,6 +254,7 @@ def _moments() -> tuple[Term, ...]:
             ),
             ("moment += p.dry_moment * at.rate / (at.rate**2 + p.dry_rate**2) ** 0.5",),
             True,
+            hook="moment",
         ),
     )
 
@@ -273,15 +264,14 @@ def _viscosities() -> tuple[Term, ...]:
     return (
         Term(
             "curved_viscosity",
-            "moment",
             "moment C κ² κ̇: viscosity that grows with curvature",
             (_size("curved_viscosity", "N·m⁴·s", 1e-9, True),),
             ("moment += p.curved_viscosity * at.curvature**2 * at.rate",),
             True,
+            hook="moment",
         ),
         Term(
             "power_viscosity",
-            "moment",
             f"moment C |κ̇|^n against the rate, stated at {REFERENCE_RATE:g} 1/(m·s)",
             (_size("power_viscosity", "N·m", 1e-6, True), _power("rate_exponent", 2.0, 3.0, 0.5)),
             (
@@ -290,6 +280,7 @@ def _viscosities() -> tuple[Term, ...]:
                 "moment += p.power_viscosity * size * rate",
             ),
             True,
+            hook="moment",
         ),
     )
 
@@ -305,7 +296,6 @@ def _attractor(box_m: tuple[float, float, float, float]) -> Term:
     middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
     return Term(
         "point",
-        "force",
         f"pull towards a point, k (d/r) (r₀/r)^n per metre, r² = |d|² + core², "
         f"r₀ = {REFERENCE_DISTANCE_M:g} m, {_WEIGHTED}",
         (

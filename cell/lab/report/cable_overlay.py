@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 from cell.cable.arrays import FloatArray
 from cell.files.figure_style import NOISE, SEEN, laid_out, listed, play_button
 from cell.lab.report.figures import Series
-from cell.lab.strength.trial_residual import across_tip, displacement, distance, largest
+from cell.lab.strength.compare import across_tip, displacement, distance, largest
 
 #: Number of frames of an overlay's time slider.
 SLIDER_FRAMES = 60

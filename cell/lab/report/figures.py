@@ -30,9 +30,8 @@ from cell.files.figure_style import (
 from cell.lab.data.results import Diagnosis
 from cell.lab.fit.series import rms_over
 from cell.lab.report.wording import by_evidence, chance, noise_label, places
-from cell.lab.strength.compare import Comparison
+from cell.lab.strength.compare import PHASES, Comparison, distance, largest, phase_of
 from cell.lab.strength.profiles import ParameterProfile
-from cell.lab.strength.trial_residual import PHASES, distance, largest, phase_of
 
 
 @dataclass(frozen=True)

@@ -201,28 +201,20 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 def together_parts(result: Together) -> list[str | TableData]:
     """Sentences and tables of a joint diagnosis, in order."""
+    rivals = ", ".join(" and ".join(names) for names in result.tied)
+    tied = f"As much is explained by {rivals}: these studies cannot tell them apart."
+    consistency = result.consistency
     return [
         f"Verdict {result.verdict}: {result.why}.",
-        *([_tied(result)] if result.tied else []),
-        *_differences(result.consistency),
+        *([tied] if rivals else []),
+        *(
+            f"The cables differ in {c.parameter} by more than chance (p = {chance(c.q_p_value)})."
+            for c in consistency
+            if c.q_p_value < 0.01
+        ),
         studies_table(result),
-        *([consistency_table(result.consistency)] if result.consistency else []),
-        *([values_table(result.consistency)] if result.consistency else []),
+        *([consistency_table(consistency), values_table(consistency)] if consistency else []),
         hypotheses_table(result),
-    ]
-
-
-def _tied(result: Together) -> str:
-    rivals = ", ".join(" and ".join(names) for names in result.tied)
-    return f"As much is explained by {rivals}: these studies cannot tell them apart."
-
-
-def _differences(consistency: Sequence[Consistency]) -> list[str]:
-    """Sentences on parameters that differ between the cables."""
-    return [
-        f"The cables differ in {c.parameter} by more than chance (p = {chance(c.q_p_value)})."
-        for c in consistency
-        if c.q_p_value < 0.01
     ]
 
 

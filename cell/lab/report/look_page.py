@@ -169,8 +169,8 @@ FACT_HEADS = (
 FACT_NOTE = (
     "Still: frames before anything moves. Gripper and tip: largest distance between two of its "
     "places, and by how much the gripper turns. Noise: of one coordinate in one frame, from the "
-    "still frames. Swings at: "
-    "the tip’s frequencies after the gripper has stopped, the strongest first"
+    "still frames. Swings at: the tip’s frequencies after the gripper has stopped, the strongest "
+    "first"
 )
 
 

@@ -13,8 +13,7 @@ from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
 from cell.lab.next.decisions import Chances
-from cell.lab.next.forecast import POWER, EffectPower, Recovery
-from cell.lab.next.study_power import StudyPower
+from cell.lab.next.study_power import POWER, EffectPower, Recovery, StudyPower
 from cell.lab.report.tables import NOISE_ALONE
 from cell.lab.report.wording import (
     chance,
@@ -33,7 +32,7 @@ _INTERVAL_HEADS = ("parameter", "value", "low", "high", "unit")
 
 if TYPE_CHECKING:
     from cell.lab.next.discover import Discovery
-    from cell.lab.next.suggestion import Suggestion
+    from cell.lab.next.motion_file import Suggestion
 
 
 def model_table(model: Identified) -> TableData:
@@ -217,8 +216,7 @@ def _respected_limits(suggestion: Suggestion) -> str:
         )
     return (
         "gripper within its limits, cable and jaw in the picture, cable clear of the workpiece, "
-        "all "
-        f"including the uncertainty of the cable; {refused} motions refused"
+        f"all including the uncertainty of the cable; {refused} motions refused"
     )
 
 
@@ -270,8 +268,8 @@ def recovery_table(power: StudyPower) -> TableData | None:
     )
     note = (
         "Copies with the effect hidden in fresh noise, each diagnosed. “undecided”: nothing is "
-        "claimed; "
-        "“missed”: the model is called complete; “unexplained”: no effect explains the copy"
+        "claimed; “missed”: the model is called complete; “unexplained”: no effect explains the "
+        "copy"
     )
     return TableData("Copies diagnosed", heads, rows, range(1, 9), note)
 

@@ -46,12 +46,12 @@ from cell.lab.report.wording import (
     digits,
     noise_in_words,
     noise_label,
+    plain,
     residual_in_words,
 )
 from cell.lab.report.wrench_report import wrench_overlay, wrenches_table
-from cell.lab.strength.compare import NOTICEABLE, Comparison
+from cell.lab.strength.compare import NOTICEABLE, Comparison, TrialResidual
 from cell.lab.strength.profiles import ParameterProfile, profile_sentences
-from cell.lab.strength.trial_residual import TrialResidual
 from cell.study.facts import sensors_in_words
 
 #: Smallest correlation of a residual with a listed signal.
@@ -77,7 +77,7 @@ def diagnosis_page(
     first, last = comparisons[0], comparisons[-1]
     series = [Series("model", "of the model", MODEL, first)]
     if last is not first:
-        name = f"with {_names(diagnosis)}"
+        name = f"with {' and '.join(plain(f.effect) for f in diagnosis.missing)}"
         series = [replace(series[0], above=1), Series(name, name, ADDED, last)]
     return page(
         _TEMPLATES,
@@ -190,10 +190,6 @@ def _models(comparisons: Sequence[Comparison]) -> TableData:
         for c in comparisons
     ]
     return TableData("", heads, rows, (2, 3, 4, 5))
-
-
-def _names(diagnosis: Diagnosis) -> str:
-    return " and ".join(f.effect.replace("_", " ") for f in diagnosis.missing)
 
 
 def _facts(comparison: Comparison) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.files.table import TableData
 from cell.identify.parameters import Prior
+from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors, TrialValue
-from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.fit.series import rms_over
 from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (
@@ -255,14 +255,13 @@ def diagnosis_parts(
 
 def evidence_tables(diagnosis: Diagnosis) -> list[TableData]:
     """Tables of a diagnosis's evidence and limits, without empty ones."""
-    tables = (
-        nearest_table(diagnosis) if diagnosis.nearest else None,
-        checks_table(diagnosis.checks) if diagnosis.checks else None,
-        ranking_table(diagnosis) if diagnosis.ranking else None,
-        limits_table(diagnosis) if diagnosis.limits else None,
-        agreement_table(diagnosis.agreement) if diagnosis.agreement else None,
-    )
-    return [table for table in tables if table is not None]
+    return [
+        *([nearest_table(diagnosis)] if diagnosis.nearest else []),
+        *([checks_table(diagnosis.checks)] if diagnosis.checks else []),
+        *([ranking_table(diagnosis)] if diagnosis.ranking else []),
+        *([limits_table(diagnosis)] if diagnosis.limits else []),
+        *([agreement_table(diagnosis.agreement)] if diagnosis.agreement else []),
+    ]
 
 
 def verdict_line(diagnosis: Diagnosis) -> str:

@@ -19,8 +19,7 @@ from cell.lab.data.results import (
     Peak,
     RankedEffect,
 )
-from cell.lab.strength.compare import NOTICEABLE, Comparison
-from cell.lab.strength.trial_residual import TrialResidual
+from cell.lab.strength.compare import NOTICEABLE, Comparison, TrialResidual
 
 
 def catalogue_entry(effects: Sequence[str]) -> str:
@@ -104,23 +103,15 @@ def class_in_words(missing: MissingEffect) -> str:
 
 def noise_like(noise_mm: float, final: Comparison | None) -> str:
     """Part of a sentence that states that an error is no larger than the noise."""
-    if final is None:
-        return f"camera noise ({short(noise_mm)} mm)"
-    patterns, trials = final.patterns(), len(final.where)
-    pattern = (
-        f"in {patterns} of {counted(trials, 'trial')} it has a pattern, too small to "
-        "identify its cause"
-    )
-    if not final.noise_is_stated:
-        return (
-            f"camera noise ({short(noise_mm)} mm)"
-            if not patterns
-            else (f"no larger than camera noise ({short(noise_mm)} mm); {pattern}")
-        )
+    noise, pattern = f"({short(noise_mm)} mm)", ""
+    if final is not None and (patterns := final.patterns()):
+        trials = counted(len(final.where), "trial")
+        pattern = f"; in {patterns} of {trials} it has a pattern, too small to identify its cause"
+    if final is None or not final.noise_is_stated:
+        return f"{'no larger than ' if pattern else ''}camera noise {noise}{pattern}"
     rest_mm = final.noise_at_rest_m * 1e3
     camera = f"; camera noise at rest is {short(rest_mm)} mm" if np.isfinite(rest_mm) else ""
-    text = f"within the stated error of the measurement ({short(noise_mm)} mm){camera}"
-    return text if not patterns else f"{text}; {pattern}"
+    return f"within the stated error of the measurement {noise}{camera}{pattern}"
 
 
 def residual_in_words(where: TrialResidual, comparison: Comparison) -> str:
@@ -130,11 +121,8 @@ def residual_in_words(where: TrialResidual, comparison: Comparison) -> str:
         return "more than noise" if white else "a pattern above the noise"
     if white:
         return "noise"
-    return (
-        "a pattern within the stated error"
-        if comparison.noise_is_stated
-        else ("a pattern no larger than the noise")
-    )
+    limit = "within the stated error" if comparison.noise_is_stated else "no larger than the noise"
+    return f"a pattern {limit}"
 
 
 def noise_in_words(comparison: Comparison) -> str:
@@ -193,10 +181,8 @@ def _listed(names: Sequence[str]) -> str:
 
 def apart(low: float, high: float) -> tuple[str, str]:
     """Two numbers with three digits, or more, until rounding is a tenth of their difference."""
-    many = 3
-    while many < 12 and abs(float(f"{low:.{many}g}") - low) > 0.1 * (high - low):
-        many += 1
-    while many < 12 and abs(float(f"{high:.{many}g}") - high) > 0.1 * (high - low):
+    many, allowed = 3, 0.1 * (high - low)
+    while many < 12 and any(abs(float(f"{v:.{many}g}") - v) > allowed for v in (low, high)):
         many += 1
     return digits(low, many), digits(high, many)
 

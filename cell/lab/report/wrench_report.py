@@ -13,8 +13,7 @@ from cell.files.figure_style import NOISE, SEEN, laid_out, listed, thinned
 from cell.files.table import TableData
 from cell.lab.report.figures import Series
 from cell.lab.report.wording import chance
-from cell.lab.strength.compare import Comparison
-from cell.lab.strength.trial_residual import WrenchResidual
+from cell.lab.strength.compare import Comparison, WrenchResidual
 from cell.study.data import Wrench
 from cell.study.wrench import WrenchFacts
 

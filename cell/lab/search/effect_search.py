@@ -10,12 +10,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from cell.lab.data.thresholds import Rules
+from cell.lab.data.check import Rules
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache, noise_reestimated
 from cell.lab.search.fitted_model import FittedModel, added_effect
-from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels, pruned
+from cell.lab.search.stepwise import exchanged, holm_among, levels, pruned
 
 _LOG = logging.getLogger(__name__)
 
@@ -57,62 +58,59 @@ class Confirmation:
         return log_lr < rules.heldout_gain and weak
 
 
-@dataclass(frozen=True, eq=False)
-class ConfirmedEffects:
-    """The criterion of a diagnosis: an effect is significant, and held-out trials confirm it.
+def _accepted_of(
+    fits: FitCache, current: FittedModel, options: Sequence[FittedModel]
+) -> FittedModel | None:
+    """The confirmed option with the most evidence; else the best that cannot be confirmed.
 
-    fits     all effects of its library count as tried: those not refitted were not significant in
-             the screen
+    All effects of the library count as tried: those not refitted were not significant in the
+    screen.
     """
+    rules, gains = fits.rules, [fits.gain(current, o) for o in options]
+    adjusted = holm_among([g.p_value for g in gains], fits.tried)
+    likely = [
+        (o, _confirmation(fits, current, o))
+        for o, g, p in zip(options, gains, adjusted, strict=True)
+        if p < rules.significance and g.delta_bic > 0.0
+    ]
+    sound = [o for o, c in likely if c is None or c.is_confirmed(rules)]
+    if not sound:
+        sound = [o for o, c in likely if c is not None and c.is_impossible(rules)]
+    return max(sound, key=lambda o: o.evidence, default=None)
 
-    fits: FitCache
 
-    def accepted(self, current: FittedModel, options: Sequence[FittedModel]) -> FittedModel | None:
-        """The confirmed option with the most evidence; else the best that cannot be confirmed."""
-        fits, rules = self.fits, self.fits.rules
-        gains = [fits.gain(current, o) for o in options]
-        adjusted = holm_among([g.p_value for g in gains], fits.tried)
-        likely = [
-            (o, self._confirmation(current, o))
-            for o, g, p in zip(options, gains, adjusted, strict=True)
-            if p < rules.significance and g.delta_bic > 0.0
-        ]
-        sound = [o for o, c in likely if c is None or c.is_confirmed(rules)]
-        if not sound:
-            sound = [o for o, c in likely if c is not None and c.is_impossible(rules)]
-        return max(sound, key=lambda o: o.evidence, default=None)
+def _better(
+    rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
+) -> FittedModel | None:
+    """The option with the most evidence, if that is more than the model's."""
+    best = max(options, key=lambda c: c.evidence, default=model)
+    return best if best.evidence > model.evidence + 1.0 else None
 
-    def better(
-        self, rest: FittedModel, options: Sequence[FittedModel], model: FittedModel
-    ) -> FittedModel | None:
-        """The option with the most evidence, if that is more than the model's."""
-        best = max(options, key=lambda c: c.evidence, default=model)
-        return best if best.evidence > model.evidence + 1.0 else None
 
-    def needed(self, rest: FittedModel, model: FittedModel) -> bool:
-        """Whether the effect that `rest` lacks is confirmed given the effects of `rest`."""
-        test, rules = self._confirmation(rest, model), self.fits.rules
-        passed = test is None or test.is_confirmed(rules) or test.is_impossible(rules)
-        return passed and self.fits.gain(rest, model).delta_bic > 0.0
+def _is_needed(fits: FitCache, rest: FittedModel, model: FittedModel) -> bool:
+    """Whether the effect that `rest` lacks is confirmed given the effects of `rest`."""
+    test, rules = _confirmation(fits, rest, model), fits.rules
+    passed = test is None or test.is_confirmed(rules) or test.is_impossible(rules)
+    return passed and fits.gain(rest, model).delta_bic > 0.0
 
-    def _confirmation(self, small: FittedModel, large: FittedModel) -> Confirmation | None:
-        """Held-out test of the last effect of `large`; None if there are no held-out trials."""
-        fits, rules = self.fits, self.fits.rules
-        base = fits.base.heldout
-        if small.heldout is None or large.heldout is None or base is None:
-            return None
-        noise_m2, gain = fits.prepared.expected_m("validate") ** 2, fits.gain(small, large)
-        least_m2 = rules.negligible_share * noise_m2
-        if fits.added(small):
-            excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)
-            least_m2 = max(rules.slight_share * noise_m2, rules.negligible_share * excess_m2)
-        return Confirmation(
-            gain=gain.heldout,
-            fall_m2=small.heldout.rms_m**2 - large.heldout.rms_m**2,
-            least_m2=least_m2,
-            delta_chi2=gain.delta_chi2,
-            log_lr=lambda: fits.heldout_log_lr(large, added_effect(small, large)),
-        )
+
+def _confirmation(fits: FitCache, small: FittedModel, large: FittedModel) -> Confirmation | None:
+    """Held-out test of the last effect of `large`; None if there are no held-out trials."""
+    rules, base = fits.rules, fits.base.heldout
+    if small.heldout is None or large.heldout is None or base is None:
+        return None
+    noise_m2, gain = fits.prepared.expected_m("validate") ** 2, fits.gain(small, large)
+    least_m2 = rules.negligible_share * noise_m2
+    if fits.added(small):
+        excess_m2 = max(base.rms_m**2 - noise_m2, 0.0)
+        least_m2 = max(rules.slight_share * noise_m2, rules.negligible_share * excess_m2)
+    return Confirmation(
+        gain=gain.heldout,
+        fall_m2=small.heldout.rms_m**2 - large.heldout.rms_m**2,
+        least_m2=least_m2,
+        delta_chi2=gain.delta_chi2,
+        log_lr=lambda: fits.heldout_log_lr(large, added_effect(small, large)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,18 +142,18 @@ def search_effects(fits: FitCache) -> SearchResult:
 
 def _accepted(fits: FitCache) -> tuple[FittedModel, SearchSetup | None]:
     """The baseline with the effects accepted; the setup of a repeated search if one is needed."""
-    base, rules, criterion = fits.base, fits.rules, ConfirmedEffects(fits)
+    base, rules = fits.base, fits.rules
 
     def in_time() -> bool:
         return fits.work.affords("further effects")
 
     def select(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        better = criterion.accepted(current, options)
+        better = _accepted_of(fits, current, options)
         if better is None:
             return []
         if len(fits.added(better)) > 1 and not _two_explain_little(fits, better):
-            better = exchanged(fits, better, criterion.better, in_time)
-        better = pruned(fits, better, criterion.needed)
+            better = exchanged(fits, better, _better, in_time)
+        better = pruned(fits, better, partial(_is_needed, fits))
         _LOG.info("with %s: %s", ", ".join(sorted(better.names)), errors_in_words(better))
         return [better]
 
@@ -178,8 +176,3 @@ def _two_explain_little(fits: FitCache, current: FittedModel) -> bool:
     if len(fits.added(current)) < 2:
         return False
     return 1.0 - fits.removed_share(fits.base, current) > fits.rules.most_share
-
-
-def path_to(fits: FitCache, final: FittedModel) -> tuple[FittedModel, ...]:
-    """Models from the baseline to `final`, the effect with the most evidence first."""
-    return tuple(in_order(fits, final, lambda c: c.evidence))

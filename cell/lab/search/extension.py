@@ -27,8 +27,8 @@ from cell.lab.fit.fitting import (
     space_with,
     with_values,
 )
+from cell.lab.fit.score_test import MOST_SHAPES, ScreenedEffect
 from cell.lab.fit.sensitivity import shapes_of
-from cell.lab.fit.starts import cold_start, each_once, is_new, scaled, typical
 from cell.lab.search.fitted_model import (
     POLISH,
     REFIT,
@@ -37,7 +37,55 @@ from cell.lab.search.fitted_model import (
     model_of_fit,
     penalty_of,
 )
-from cell.lab.search.screen import MOST_SHAPES, ScreenedEffect
+
+#: Number of uniform cables for a cold start, and their range of ln EI about the prior's.
+COLD_STARTS, COLD_RANGE = 48, 3.0
+#: Most typical sizes of an effect.
+MOST_GUESSES = 9
+#: Scale factors of the amplitudes that the screen predicts.
+SHARES = (2.0, 0.5, 0.25, 0.1)
+
+
+def cold_start(prepared: PreparedStudy, space: ParameterSpace) -> FloatArray:
+    """Coordinates of the uniform cable that fits best, or the prior's mean if that fits better."""
+    trials = fit_trials(prepared)
+    level = float(np.exp(space.mean[: space.knots].mean()))
+    levels = level * np.exp(np.linspace(-COLD_RANGE, COLD_RANGE, COLD_STARTS))
+    q = np.vstack([space.mean, *(space.start(float(v)) for v in levels)])
+    white = residuals(prepared, space, trials, q)
+    square = np.where(np.isfinite(white).all(axis=1), np.sum(white**2, axis=1), np.inf)
+    offset = q - space.mean
+    square += np.einsum("ij,jk,ik->i", offset, space.precision, offset)
+    return np.asarray(q[int(np.argmin(square))])
+
+
+def scaled(effect: type[Effect], guesses: Sequence[FloatArray]) -> list[FloatArray]:
+    """The guesses, then with scaled amplitudes: guesses are linear, so wrong far from zero."""
+    default, low, high = np.array([(p.default, p.low, p.high) for p in effect.parameters]).T
+    strong = np.array([p.amplitude for p in effect.parameters])
+    scaled = [
+        np.clip(np.where(strong, default + share * (g - default), g), low, high)
+        for share in SHARES
+        for g in guesses
+    ]
+    return [*guesses, *scaled]
+
+
+def each_once(starts: Sequence[FloatArray]) -> list[FloatArray]:
+    """The starts, none of them twice."""
+    return [q for i, q in enumerate(starts) if is_new(q, starts[:i])]
+
+
+def is_new(q: FloatArray, others: Sequence[FloatArray]) -> bool:
+    """Whether a start differs from all others."""
+    return not any(np.array_equal(q, other) for other in others)
+
+
+def typical(effect: type[Effect]) -> list[FloatArray]:
+    """All combinations of the effect's starts, the most typical first."""
+    choices = itertools.product(*(p.starts for p in effect.parameters))
+    return [np.array(c) for c in itertools.islice(choices, MOST_GUESSES)]
+
 
 #: A tempered fit divides the residuals by this times the root of χ² per value.
 TEMPER = 3.0

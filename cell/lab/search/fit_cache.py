@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
+from cell.lab.data.check import Rules
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain
-from cell.lab.data.thresholds import Rules
 from cell.lab.data.work import Progress, Work
 from cell.lab.fit.corrections import (
     corrected,
@@ -25,10 +25,10 @@ from cell.lab.fit.corrections import (
 )
 from cell.lab.fit.fitting import Fit, fit_model, pinned, space_with, start_from
 from cell.lab.fit.heldout import heldout_log_lr
-from cell.lab.fit.starts import cold_start
+from cell.lab.fit.score_test import ScreenedEffect, screen
 from cell.lab.fit.systematic_error import GripperLogError, gripper_log_error
-from cell.lab.search.baseline import Baseline, SearchSetup
-from cell.lab.search.extension import Extension, Refits, continued
+from cell.lab.search.baseline import SearchSetup, fit_baseline
+from cell.lab.search.extension import Extension, Refits, cold_start, continued
 from cell.lab.search.fitted_model import (
     POLISH,
     REFIT,
@@ -40,9 +40,9 @@ from cell.lab.search.fitted_model import (
     model_of_fit,
     p_value_of_fall,
     penalty_of,
+    removed_share,
+    residual_summary,
 )
-from cell.lab.search.residual_summary import removed_share, residual_summary
-from cell.lab.search.screen import ScreenedEffect, screen
 from cell.lab.search.stepwise import levels
 
 #: Difference of ln likelihood from which two fits of the same effects are different minima.
@@ -87,7 +87,7 @@ class FitCache:
         raises  UnsimulatedError, WorkStoppedError
         """
         by_adding = partial(_fit_by_adding, setup) if setup.unknown_effects else None
-        baseline = Baseline(setup, by_adding).fitted()
+        baseline = fit_baseline(setup, by_adding)
         prepared = baseline.prepared
         base = model_of_fit(prepared, setup.space.effects, baseline.fit)
         models = {base.names: base}

@@ -2,31 +2,91 @@
 
 Where no set of effects fits to the noise, the model's own error limits every conclusion.  So it
 replaces the noise here, with its correlation.  The model is fitted to all trials jointly: effects
-are compared by how much they change the fit, not by their forecasts.
+are compared by how much they change the fit, not by their forecasts.  Rivals of a model are those
+that explain as much.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
+from scipy.special import chdtrc as chi2_sf
 
 from cell.cable.solver import Solver
 from cell.identify.noise import Noise
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured
 from cell.lab.fit.fitting import fit_trials, start_from
-from cell.lab.fit.plausibility import is_hopeless
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.extension import POLISHED
 from cell.lab.search.fit_cache import FitCache, with_lower_baseline
-from cell.lab.search.fitted_model import FittedModel, added_effect
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    added_effect,
+    at_bound,
+    error_over_noise,
+    is_hopeless,
+    log_variance_ratio,
     residual_summary,
 )
-from cell.lab.search.rivals import is_at_bound, near_singles, step_p
 from cell.lab.search.stepwise import exchanged, holm_among, in_order, levels
+
+
+def close_rivals(
+    fits: FitCache, final: FittedModel, rivals: Sequence[FittedModel]
+) -> list[FittedModel]:
+    """Rivals that explain as much as `final`, all trials together, the best first.
+
+    They are compared by χ² where the residual is noise, and else by the ratio of residual variances
+    too, with the residual's correlation: the model's own error limits the comparison.
+    """
+    rules = fits.rules
+    close = {c.names for c in rivals if c.chi2 < final.chi2 + rules.tie_delta_chi2}
+    if error_over_noise(fits.prepared, final) > rules.most_over_noise:
+        own = residual_summary(fits.prepared, final)
+        close |= {
+            c.names
+            for c in rivals
+            if log_variance_ratio(own, residual_summary(fits.prepared, c)) < rules.tie_delta_chi2
+        }
+    return sorted((c for c in rivals if c.names in close), key=lambda c: c.chi2)
+
+
+def step_p(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
+    """p-value of the fall of the residual by one more effect, over all trials."""
+    before, after = (residual_summary(fits.prepared, model) for model in (small, large))
+    amplitudes = sum(p.amplitude for p in added_effect(small, large).parameters)
+    return float(chi2_sf(amplitudes, max(log_variance_ratio(after, before), 0.0)))
+
+
+def near_singles(
+    fits: FitCache, final: FittedModel, singles: Sequence[FittedModel]
+) -> list[FittedModel]:
+    """Other single effects near `final`, a single effect whose residual is above the noise.
+
+    A further effect is then missing with each of them, as with `final`.
+    """
+    prepared, rules = fits.prepared, fits.rules
+    mean_square = {c.names: residual_summary(prepared, c).mean_square_m2 for c in singles}
+    if mean_square[final.names] < (rules.most_over_noise * prepared.noise_model.noise.std_m) ** 2:
+        return []
+    nearest = sorted(singles, key=lambda c: mean_square[c.names])[: rules.most_named]
+    return [c for c in nearest if c.names != final.names]
+
+
+def is_at_bound(small: FittedModel, large: FittedModel) -> bool:
+    """Whether a parameter of the effect that `large` adds to `small` is at a bound."""
+    own = f"{added_effect(small, large).name}."
+    return any(name.startswith(own) for name, *_ in at_bound(large.fit))
+
+
+def any_at_bound(candidate: FittedModel) -> bool:
+    """Whether the amplitude of any effect of the model is at a bound."""
+    own = tuple(f"{name}." for name in candidate.names)
+    return any(name.startswith(own) for name, *_ in at_bound(candidate.fit))
+
 
 #: A faster solver: its error is far below that of a model that explains a study only in part.
 COARSE = Solver(segments=20, step_s=1.5e-3)
@@ -71,8 +131,7 @@ def explain_partly(fits: FitCache) -> PartialExplanation:
         # converge from any start.
         if error.std_m > REWEIGHTED_BELOW * before.std_m or joint.work.spent:
             break
-    steps = _added(joint, base, singles)
-    steps = _significant_steps(joint, steps)
+    steps = _significant_steps(joint, _added(joint, base, singles))
     if len(steps) == 2:
         for rival in near_singles(joint, steps[1], singles):
             joint.extended(rival)
@@ -148,12 +207,9 @@ def _significant_steps(fits: FitCache, steps: Sequence[FittedModel]) -> list[Fit
 
     After an exchange, one of two effects may be sufficient alone.
     """
-    significant = list(steps[:1])
-    for small, large in pairwise(steps):
-        if p_value_of(fits, small, large) >= fits.rules.significance:
-            break
-        significant.append(large)
-    return significant
+    limit = fits.rules.significance
+    pairs = takewhile(lambda pair: p_value_of(fits, *pair) < limit, pairwise(steps))
+    return [steps[0], *(large for _, large in pairs)]
 
 
 def p_value_of(fits: FitCache, small: FittedModel, large: FittedModel) -> float:
@@ -179,12 +235,8 @@ def _converged(
 
 def _with_noise(fits: FitCache, error: Noise) -> FitCache:
     """The fits of all trials jointly, with a model's own error as noise."""
-    prepared = PreparedStudy.of(
-        all_fitted(as_measured(fits.prepared)),
-        misfit=error,
-        solver=COARSE,
-        work=fits.prepared.work,
-    )
+    study, work = all_fitted(as_measured(fits.prepared)), fits.prepared.work
+    prepared = PreparedStudy.of(study, misfit=error, solver=COARSE, work=work)
     prepared = replace(prepared, noise_model=fits.prepared.noise_model)
     setup = SearchSetup(prepared, fits.space, fits.library, fits.progress, fits.prior_q)
     return FitCache.of(replace(setup, rules=fits.rules))

@@ -1,10 +1,16 @@
-"""95 % limits of the size of effects that the diagnosis of a study does not name."""
+"""95 % limits of the size of effects that the diagnosis of a study does not name.
+
+The jacobian says how much of an effect the other parameters can imitate.  Where they imitate most
+of it, the remainder is small compared with second-order terms: the effect is held at a given size,
+and all other parameters are refitted.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc as chi2_sf
@@ -14,17 +20,118 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import ActiveEffect, Effect, Parameter
 from cell.cable.solver import threads
 from cell.identify.fit import variance_inflation
-from cell.identify.gauss_newton import UNSIMULATED
+from cell.identify.gauss_newton import UNSIMULATED, Options
+from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Limit
 from cell.lab.data.work import Progress, no_progress, side_by_side
-from cell.lab.fit.all_trials_fit import AllTrialsFit
-from cell.lab.fit.fitting import fit_trials
-from cell.lab.fit.projection import Projection, is_distinct, nuisance_of, orthonormal
+from cell.lab.fit.fitting import Fit, by_trial, extended, fit_model, fit_trials, space_with
+from cell.lab.fit.projection import (
+    Projection,
+    is_distinct,
+    jacobian_with_prior,
+    nuisance_of,
+    orthonormal,
+    prior_root,
+)
 from cell.lab.fit.sensitivity import Sensitivity, changes, one_sided
-from cell.lab.fit.systematic_error import SystematicError
+from cell.lab.fit.systematic_error import AllTrialsFit, SystematicError
 from cell.lab.strength.estimate import LEAST_KNOWN, MIN_FREEDOM
-from cell.lab.strength.held import HeldEffect, all_changes
+
+_REFIT = Options(tolerance=0.1, max_iterations=15, least_gain=1e-3, updates=3)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEffect:
+    """An effect added to a fitted model, with one amplitude and the shape held.
+
+    amplitude  number of the parameter that is held; other amplitudes are free
+
+    Changes are whitened, of the fit trials, the prior's rows included.
+    """
+
+    prepared: PreparedStudy
+    fit: Fit
+    effect: type[Effect]
+    amplitude: int
+
+    @cached_property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model with the effect."""
+        return space_with(self.fit.space, (*self.fit.space.effects, self.effect))
+
+    @cached_property
+    def _held(self) -> list[int]:
+        """Indices of the held parameters."""
+        return [
+            self.space.names.index(f"{self.effect.name}.{p.name}")
+            for i, p in enumerate(self.effect.parameters)
+            if i == self.amplitude or not p.amplitude
+        ]
+
+    def response(self, active: ActiveEffect, change: FloatArray, others: FloatArray) -> FloatArray:
+        """(p + unknowns of initial states,) coordinates of a linear refit with the effect held.
+
+        change  (rows,) of the observations by the effect alone
+        others  (n, rows) the same per unit of each of its free amplitudes
+        """
+        jacobian = jacobian_with_prior(self.fit)
+        step = np.linalg.lstsq(np.column_stack([jacobian, -others.T]), change, rcond=None)[0]
+        p, all_q = len(self.fit.q), jacobian.shape[1]
+        values = np.array(active.values)
+        amplitudes = [i for i, x in enumerate(self.effect.parameters) if x.amplitude]
+        values[[i for i in amplitudes if i != self.amplitude]] += step[all_q:]
+        q = extended(self.fit, self.space, self.effect, values)
+        q[:p] += step[:p]
+        q = np.clip(q, self.space.low, self.space.high)
+        return np.concatenate([q, self.fit.solution.q[p:] + step[p:all_q]])
+
+    def at(self, active: ActiveEffect, base: FloatArray | None) -> FloatArray:
+        """Coordinates with the held parameters set, the others from `base`; None = from the fit."""
+        q = extended(self.fit, self.space, self.effect, np.array(active.values))
+        if base is None:
+            return np.concatenate([q, self.fit.solution.q[len(self.fit.q) :]])
+        moved = base.copy()
+        moved[self._held] = q[self._held]
+        return moved
+
+    def refitted(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The model's coordinates refitted from q, the effect held as there, and the change.
+
+        raises  UnsimulatedError: it cannot be simulated there
+        """
+        low, high = self.space.low.copy(), self.space.high.copy()
+        low[self._held] = high[self._held] = q[self._held]
+        space = replace(self.space, low=low, high=high)
+        fit = fit_model(
+            self.prepared, space, q[: len(space.names)], self.fit.initial_states, options=_REFIT
+        )
+        change = self.fit.solution.residual - fit.solution.residual
+        return fit.solution.q, self._with_prior(fit.solution.q, change)
+
+    def _with_prior(self, q: FloatArray, change: FloatArray) -> FloatArray:
+        p, fit = len(self.fit.q), self.fit
+        moved = np.concatenate([q[:p], q[len(self.space.names) :]]) - fit.solution.q
+        return np.concatenate([change, -prior_root(fit) @ moved])
+
+
+def all_changes(held: Sequence[HeldEffect], q: Sequence[FloatArray]) -> list[FloatArray]:
+    """(rows,) change from the fit by each held effect at its q, simulated in one batch.
+
+    held  of the same fit
+    q     (p + unknowns of initial states,) of each
+    """
+    if not held:
+        return []
+    prepared, fit = held[0].prepared, held[0].fit
+    trials = fit_trials(prepared)
+    places = [(h, len(h.space.names), q_one) for h, q_one in zip(held, q, strict=True)]
+    models = [fit.model, *(h.space.model(q_one[:p]) for h, p, q_one in places)]
+    states = np.stack([fit.solution.q[len(fit.q) :], *(q_one[p:] for _, p, q_one in places)])
+    white = prepared.white_near(trials, models, by_trial(prepared, trials, states))
+    changes = white[0] - white[1:]
+    return [h._with_prior(q_one, row) for (h, _, q_one), row in zip(places, changes, strict=True)]
+
 
 CONFIDENCE = 0.95
 #: Number of simulations of a limit, each moving it to where the effect is excluded; fewer if it
@@ -92,10 +199,8 @@ class LimitSearch:
         self._one_sided = one_sided(slopes.effect)
         tail = 1.0 - CONFIDENCE if self._one_sided else 0.5 * (1.0 - CONFIDENCE)
         self._reach = -float(normal_quantile(tail))
-        self._room = (
-            self._parameter.low - self._parameter.default,
-            self._parameter.high - self._parameter.default,
-        )
+        p = self._parameter
+        self._room = p.low - p.default, p.high - p.default
         self._sides = self._first_sides(slopes, j)
 
     def _first_sides(self, slopes: Sensitivity, j: int) -> list[Side]:
@@ -313,7 +418,31 @@ def limits(
     done = itertools.count(1)
 
     def of_some(some: Sequence[type[Effect]]) -> tuple[Limit, ...]:
-        return _limits_of(joint, nuisance, inflation, some)
+        """Limits of some effects, simulated together on one core."""
+        alone = prepared.on_one_core()
+        searches = [
+            LimitSearch(slopes, j, nuisance, joint.systematic_error, inflation)
+            for slopes in replace(joint, prepared=alone).sensitivities(some)
+            for j in range(slopes.rows.shape[1])
+        ]
+        for _ in range(ROUNDS):
+            sides = [(s, side) for s in searches for side in s.open_sides() if not side.converged]
+            if not sides:
+                break
+            moved_rows = changes(alone, fit, [s.active(side) for s, side in sides])
+            for (search, side), change in zip(sides, moved_rows, strict=True):
+                search.update(side, change)
+        nonlinear = [
+            (search, side, HeldEffect(alone, fit, search.effect, search.which))
+            for search in searches
+            for side in search.open_sides()
+            if not search.exact(side)
+        ]
+        q = [search.response(side, held) for search, side, held in nonlinear]
+        simulated = all_changes([held for _, _, held in nonlinear], q)
+        for (search, side, held), response, change in zip(nonlinear, q, simulated, strict=True):
+            search.confirm(side, held, response, change)
+        return tuple(search.limit(alone) for search in searches)
 
     # some effects take far longer than others
     count = min(len(effects), PER_CORE * threads()) if threads() > 1 else 1
@@ -332,36 +461,3 @@ def limits(
         if effect.name not in limits_of:
             prepared.work.leave_out(f"the limit of {effect.name}")
     return tuple(limit for effect in effects for limit in limits_of.get(effect.name, ()))
-
-
-def _limits_of(
-    joint: AllTrialsFit, nuisance: Projection, inflation: float, effects: Sequence[type[Effect]]
-) -> tuple[Limit, ...]:
-    """Limits of some effects, simulated together on one core.
-
-    inflation  variance inflation by the residual's excess over noise
-    """
-    prepared, fit = joint.prepared.on_one_core(), joint.fit
-    searches = [
-        LimitSearch(slopes, j, nuisance, joint.systematic_error, inflation)
-        for slopes in replace(joint, prepared=prepared).sensitivities(effects)
-        for j in range(slopes.rows.shape[1])
-    ]
-    for _ in range(ROUNDS):
-        sides = [(s, side) for s in searches for side in s.open_sides() if not side.converged]
-        if not sides:
-            break
-        moved_rows = changes(prepared, fit, [s.active(side) for s, side in sides])
-        for (search, side), change in zip(sides, moved_rows, strict=True):
-            search.update(side, change)
-    nonlinear = [
-        (search, side, HeldEffect(prepared, fit, search.effect, search.which))
-        for search in searches
-        for side in search.open_sides()
-        if not search.exact(side)
-    ]
-    q = [search.response(side, held) for search, side, held in nonlinear]
-    simulated = all_changes([held for _, _, held in nonlinear], q)
-    for (search, side, held), response, change in zip(nonlinear, q, simulated, strict=True):
-        search.confirm(side, held, response, change)
-    return tuple(search.limit(prepared) for search in searches)

@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
 from cell.identify.gauss_newton import Options, minimise
 from cell.identify.identified import Identified
-from cell.identify.profile import LikelihoodProfile, profile
+from cell.identify.profile import profile
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.fitting import Fit, fit_trials, problem_of
@@ -88,38 +88,29 @@ def each_profile(
         space.natural(np.clip((minimum.q + side * reach)[: len(fit.q)], space.low, space.high))
         for side in (-1.0, 1.0)
     )
+
+    def natural(q: float, i: int) -> float:
+        return float(np.exp(q)) if space.logarithmic[i] else q
+
+    # those of initial states have no name
+    names = [*space.names, *["how a trial begins"] * (len(fit.solution.q) - len(space.names))]
     for done, i in enumerate(free):
         progress(f"profile of {space.names[i]}", done, len(free))
         of = profile(problem, minimum, i, _POINT)
-        wald = (float(low[i]), float(high[i]))
-        yield _natural(fit, of, i, float(minimum.q[i]), wald)
-
-
-def _natural(
-    fit: Fit, of: LikelihoodProfile, i: int, best: float, wald: tuple[float, float]
-) -> ParameterProfile:
-    """A profile of coordinate i in natural values; those of initial states have no name."""
-    space = fit.space
-    logarithmic = bool(space.logarithmic[i])
-
-    def natural(q: float) -> float:
-        return float(np.exp(q)) if logarithmic else q
-
-    names = [*space.names, *["how a trial begins"] * (len(fit.solution.q) - len(space.names))]
-    return ParameterProfile(
-        name=space.names[i],
-        unit=space.units[i],
-        logarithmic=logarithmic,
-        fitted=natural(float(fit.q[i])),
-        value=natural(best),
-        low=natural(of.low) if np.isfinite(of.low) else -np.inf,
-        high=natural(of.high),
-        wald=wald,
-        values=np.array([natural(p.q) for p in of.points]),
-        rise=np.array([p.rise for p in of.points]),
-        at_bound=tuple(tuple(names[k] for k in p.at_bound) for p in of.points),
-        better=of.better,
-    )
+        yield ParameterProfile(
+            name=space.names[i],
+            unit=space.units[i],
+            logarithmic=bool(space.logarithmic[i]),
+            fitted=natural(float(fit.q[i]), i),
+            value=natural(float(minimum.q[i]), i),
+            low=natural(of.low, i) if np.isfinite(of.low) else -np.inf,
+            high=natural(of.high, i),
+            wald=(float(low[i]), float(high[i])),
+            values=np.array([natural(p.q, i) for p in of.points]),
+            rise=np.array([p.rise for p in of.points]),
+            at_bound=tuple(tuple(names[k] for k in p.at_bound) for p in of.points),
+            better=of.better,
+        )
 
 
 def profile_sentences(profiles: Sequence[ParameterProfile]) -> list[str]:

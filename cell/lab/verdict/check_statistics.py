@@ -15,11 +15,11 @@ from cell.cable.effects.base import Effect
 from cell.identify.gaussian import parameters_root
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import PreparedStudy, once_per_study
-from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit, errors_m, fit_trials
 from cell.lab.fit.heldout import heldout_rows
 from cell.lab.fit.projection import orthonormal
 from cell.lab.fit.score_test import holm
+from cell.lab.fit.systematic_error import of_all_trials
 from cell.lab.search.fitted_model import FittedModel, residuals_m
 from cell.lab.strength.estimate import LEAST_KNOWN, MODEL_ERROR
 from cell.lab.verdict.evidence import Evidence
@@ -283,10 +283,7 @@ def parameter_constancy_of(
     """
     if not noise_is_from_rest(prepared):
         return None
-    residual, tested = (
-        all_trials_residual(prepared, fit),
-        all_trials_residual(prepared, parameters or fit),
-    )
+    residual, tested = (all_trials_residual(prepared, f) for f in (fit, parameters or fit))
     if residual is None or tested is None:
         return None
     solution = tested.all_trials.fit.solution

@@ -24,15 +24,18 @@ from cell.lab.data.results import (
     Verdict,
 )
 from cell.lab.data.work import SpentError, WorkStoppedError
-from cell.lab.fit.plausibility import at_bound
-from cell.lab.fit.score_test import holm
+from cell.lab.fit.score_test import ScreenedEffect, holm
 from cell.lab.search.effect_search import SearchResult
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel, added_effect, error_over_noise
-from cell.lab.search.partial import PartialExplanation
-from cell.lab.search.residual_summary import peak, residual_summary
-from cell.lab.search.rivals import step_p
-from cell.lab.search.screen import ScreenedEffect
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    added_effect,
+    at_bound,
+    error_over_noise,
+    peak,
+    residual_summary,
+)
+from cell.lab.search.partial import PartialExplanation, step_p
 from cell.lab.strength.estimate import estimate
 from cell.lab.verdict.doubts import doubts, ended_doubt, is_meaningless
 from cell.lab.verdict.evidence import Evidence
@@ -134,8 +137,7 @@ def interrupted(fits: FitCache, error: WorkStoppedError) -> Examination:
 def unconfirmed(fits: FitCache, verdict: Verdict, why: Doubt) -> Examination:
     """The diagnosis without a completed search; no effect is confirmed."""
     base = fits.base
-    one_more = len(base.names) + 1
-    singles = tuple(c for c in fits.known() if len(c.names) == one_more)
+    singles = tuple(c for c in fits.known() if len(c.names) == len(base.names) + 1)
     partial = PartialExplanation(fits, singles, (base,))
     fits.screened(base)
     searched = why.code != "not_searched"
@@ -147,10 +149,7 @@ def unconfirmed(fits: FitCache, verdict: Verdict, why: Doubt) -> Examination:
         ranking=ranked(fits, base, singles, set()) if searched else (),
         left=remaining_error(fits, base, base),
         nearest=nearest(partial, sound(singles, base)),
-        warnings=(
-            why,
-            *(d for d in doubts(fits, fits, base) if d.code != why.code),
-        ),
+        warnings=(why, *(d for d in doubts(fits, fits, base) if d.code != why.code)),
         independence=Independence.of(fits.prepared.study),
         knots=base.fit.space.knots,
         fit_errors=fits.work.fit_errors,
@@ -249,18 +248,13 @@ def nearest(partial: PartialExplanation, fitted: Sequence[FittedModel]) -> tuple
             left_rms_m=rms_m[candidate.names],
             errors=refitted[candidate.names].errors if candidate.names in refitted else NOT_FITTED,
             peak=peak(fits.prepared, candidate),
-            at_bound=_at_bound(candidate, effect),
+            at_bound=tuple(
+                f"{name} {value:.3g} {unit}"
+                for name, value, unit in at_bound(candidate.fit)
+                if name.startswith(f"{effect}.")
+            ),
         )
         for candidate in best[: fits.rules.most_named]
-    )
-
-
-def _at_bound(candidate: FittedModel, effect: str) -> tuple[str, ...]:
-    """Parameters of an effect that are at a bound, with their values."""
-    return tuple(
-        f"{name} {value:.3g} {unit}"
-        for name, value, unit in at_bound(candidate.fit)
-        if name.startswith(f"{effect}.")
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,11 +11,16 @@ from cell.files.words import first_of
 from cell.lab.data.check import Reading
 from cell.lab.data.prepared import ERROR_RATIO
 from cell.lab.data.results import Doubt
-from cell.lab.fit.all_trials_fit import of_all_trials
 from cell.lab.fit.fitting import Fit
-from cell.lab.fit.plausibility import at_bound, is_hopeless, is_no_model, marker_motion_m
+from cell.lab.fit.systematic_error import of_all_trials
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
+from cell.lab.search.fitted_model import (
+    FittedModel,
+    at_bound,
+    is_hopeless,
+    is_no_model,
+    marker_motion_m,
+)
 from cell.lab.verdict.evidence import Evidence
 
 #: Ratio of error to noise above which the model's own error determines a fit's intervals.
@@ -90,21 +95,16 @@ def _wrong_minimum(fits: FitCache, candidate: FittedModel) -> list[Doubt]:
         second = fits.second
         as_good = second is not None and second.rms_m <= ERROR_RATIO * fit.rms_m
         return starts_disagree(fits) if as_good else []
-    warnings = []
     rigidity = fit.model.rigidity_n_m2
     differs = float(rigidity.max() / rigidity.min())
-    if differs > UNLIKE_ANY:
-        warnings.append(
-            Doubt(
-                "implausible",
-                f"EI differs {differs:.0f}-fold along the cable and the model misses "
-                f"{fit.rms_m * 1e3:.3g} mm: this is not plausible for a cable, and the parameters "
-                "are meaningless; the search is in a wrong minimum, or the study is wrong (frame, "
-                "datasheet, how trials begin)",
-            )
-        )
-    warnings += starts_disagree(fits)
-    return warnings
+    implausible = Doubt(
+        "implausible",
+        f"EI differs {differs:.0f}-fold along the cable and the model misses "
+        f"{fit.rms_m * 1e3:.3g} mm: this is not plausible for a cable, and the parameters "
+        "are meaningless; the search is in a wrong minimum, or the study is wrong (frame, "
+        "datasheet, how trials begin)",
+    )
+    return [*([implausible] if differs > UNLIKE_ANY else []), *starts_disagree(fits)]
 
 
 def not_converged(fit: Fit) -> list[Doubt]:
@@ -221,17 +221,12 @@ def doubts(fits: FitCache, final_fits: FitCache, final: FittedModel) -> tuple[Do
     codes = {w.code for w in warnings}
     if "beyond_noise" in codes and "starts_disagree" not in codes:  # not tested yet
         warnings += tuple(starts_disagree(fits))
-    if final_fits.added(final):
-        warnings += _of_estimate(final_fits, final, codes)
+    if final_fits.added(final) and "not_converged" not in codes:
+        joint = of_all_trials(final_fits.prepared, final.fit)  # behind the intervals
+        warnings += () if joint is None else tuple(not_converged(joint.fit))
     if left_out := fits.work.left_out:
         warnings += (ended_doubt(True, f"left out: {first_of(left_out, MOST)}"),)
     return tuple(w for w in warnings if w.code != "beyond_noise")
-
-
-def _of_estimate(fits: FitCache, final: FittedModel, codes: Collection[str]) -> tuple[Doubt, ...]:
-    """Warning of the fit to all trials behind the intervals, unless the first fit has it too."""
-    joint = None if "not_converged" in codes else of_all_trials(fits.prepared, final.fit)
-    return () if joint is None else tuple(not_converged(joint.fit))
 
 
 def ended_doubt(spent: bool, detail: str) -> Doubt:
@@ -289,13 +284,13 @@ def omitted_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
 
 def wider_law_doubts(evidence: Evidence, reading: Reading) -> tuple[Doubt, ...]:
     """Warnings of effects that explain most, but whose law does not hold."""
-    broken = [e for e in evidence.final.effects if e.name in reading.effects]
     return tuple(
         Doubt(
             "wider_law",
             f"{effect.name} explains most, but its law does not hold: the more general `--with "
-            f"{'' if effect.wider is None else effect.wider.name}` explains more; the cause is "
-            "similar to it, but not in the library",
+            f"{effect.wider.name}` explains more; the cause is similar to it, but not in the "
+            "library",
         )
-        for effect in broken
+        for effect in evidence.final.effects
+        if effect.wider is not None and effect.name in reading.effects
     )

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,13 +71,13 @@ def _more_knots(fits: FitCache, model: FittedModel, needed: float) -> FittedMode
     raises  UnsimulatedError
     """
     prepared, before = fits.prepared, model.fit
-    linear = _LinearModel.of(fits, before)
-    if linear is None:
+    evidence_of = _linear_evidence(fits, before)
+    if evidence_of is None:
         return None
-    usual, _ = linear.evidence(before.space)
+    usual, _ = evidence_of(before.space)
     spaces = [before.space.with_knots(k) for k in KNOTS if k > before.space.knots]
-    each = [linear.evidence(space) for space in spaces]
-    (evidence, square), likeliest = max(zip(each, spaces, strict=True), key=lambda e: e[0][0])
+    each = zip(map(evidence_of, spaces), spaces, strict=True)
+    (evidence, square), likeliest = max(each, key=lambda e: e[0][0])
     noise = (NEAR * ERROR_RATIO) ** 2 * prepared.count(fit_trials(prepared))
     if evidence - usual < PROMISED * needed or square > noise:
         return None
@@ -103,43 +104,33 @@ def _log_det(matrix: FloatArray) -> float:
     return float(np.linalg.slogdet(matrix)[1])
 
 
-@dataclass(frozen=True, eq=False)
-class _LinearModel:
-    """A fitted model, linearised in its parameters with the largest number of knots.
+def _linear_evidence(
+    fits: FitCache, fit: Fit
+) -> Callable[[ParameterSpace], tuple[float, float]] | None:
+    """Function: ln of the marginal likelihood of a space, and χ² of the residual at its optimum.
 
-    residual  (rows,) whitened, at the fit; jacobian (rows, p) with respect to the knots, the other
-              parameters, and the trials' initial states
+    The model is linearised at a fit, with the most knots.  The likelihood is integrated over the
+    parameters, and defined up to a constant.
+    returns  None if a finer cable cannot be simulated
     """
+    prepared, trials, most = fits.prepared, fit_trials(fits.prepared), KNOTS[-1]
+    finest = problem_of(prepared, fit.space.with_knots(most), trials)
+    q = fit.space.at_knots(fit.solution.q, most)
+    by_all = jacobian_at(finest, q, np.zeros((len(q), len(q))))
+    if not np.all(np.isfinite(by_all)):
+        return None
 
-    fits: FitCache
-    fit: Fit
-    residual: FloatArray
-    jacobian: FloatArray
-
-    @staticmethod
-    def of(fits: FitCache, fit: Fit) -> _LinearModel | None:
-        """The linearised model; None if a finer cable cannot be simulated."""
-        most = fit.space.with_knots(KNOTS[-1])
-        problem = problem_of(fits.prepared, most, fit_trials(fits.prepared))
-        q = fit.space.at_knots(fit.solution.q, KNOTS[-1])
-        jacobian = jacobian_at(problem, q, np.zeros((len(q), len(q))))
-        if not np.all(np.isfinite(jacobian)):
-            return None
-        return _LinearModel(fits, fit, fit.solution.residual, jacobian)
-
-    def evidence(self, space: ParameterSpace) -> tuple[float, float]:
-        """ln of the marginal likelihood of a space, and χ² of the residual at its optimum.
-
-        The likelihood is integrated over the parameters, and defined up to a constant.
-        """
-        problem = problem_of(self.fits.prepared, space, fit_trials(self.fits.prepared))
-        most, precision = KNOTS[-1], problem.precision
+    def evidence(space: ParameterSpace) -> tuple[float, float]:
+        problem = problem_of(prepared, space, trials)
+        precision = problem.precision
         basis = knot_basis(space.knots, tuple(np.linspace(0.0, 1.0, most)))
-        jacobian = np.hstack([self.jacobian[:, :most] @ basis, self.jacobian[:, most:]])
-        prior_offset = self.fit.space.at_knots(self.fit.solution.q, space.knots) - problem.mean
-        normal = jacobian.T @ jacobian + precision
-        step = -np.linalg.solve(normal, jacobian.T @ self.residual + precision @ prior_offset)
-        residual, offset = self.residual + jacobian @ step, prior_offset + step
+        jacobian = np.hstack([by_all[:, :most] @ basis, by_all[:, most:]])
+        prior_offset = fit.space.at_knots(fit.solution.q, space.knots) - problem.mean
+        normal, measured = jacobian.T @ jacobian + precision, fit.solution.residual
+        step = -np.linalg.solve(normal, jacobian.T @ measured + precision @ prior_offset)
+        residual, offset = measured + jacobian @ step, prior_offset + step
         square = float(residual @ residual)
         objective = square + float(offset @ precision @ offset)
         return -0.5 * (objective + _log_det(normal) - _log_det(precision)), square
+
+    return evidence

@@ -14,7 +14,7 @@ from cell.lab.fit.fitting import space_with
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache
 from cell.lab.search.fitted_model import FittedModel, error_over_noise
-from cell.lab.search.rivals import close_rivals
+from cell.lab.search.partial import close_rivals
 from cell.lab.search.stepwise import levels
 from cell.lab.verdict.evidence import Evidence
 
@@ -31,8 +31,6 @@ def prior_driven_effects(evidence: Evidence, explains: Explains) -> tuple[str, .
     cable that differs from the prior's is the simpler explanation.
     """
     fits = evidence.fits
-    if fits.prior_q is None or evidence.is_base:
-        return ()
     accepted = int(_agrees_with_prior(fits, evidence.final))
     if len(evidence.added) <= accepted:
         return ()

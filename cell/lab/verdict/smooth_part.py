@@ -18,12 +18,17 @@ from cell.identify.whitener import Whitener
 from cell.lab.data.noise_likelihood import MAX_AR1
 from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy, once_per_study
-from cell.lab.fit.all_trials_fit import AllTrialsFit, of_all_trials
 from cell.lab.fit.corrections import REMAINDER
 from cell.lab.fit.fitting import Fit, best_initial_state, fit_trials
 from cell.lab.fit.heldout import HeldoutRows, heldout_rows
 from cell.lab.fit.projection import jacobian_with_prior
-from cell.lab.fit.systematic_error import MOTIONS, SystematicError, systematic_error
+from cell.lab.fit.systematic_error import (
+    MOTIONS,
+    AllTrialsFit,
+    SystematicError,
+    of_all_trials,
+    systematic_error,
+)
 
 
 @dataclass(frozen=True)
@@ -208,13 +213,8 @@ class AllTrialsResidual:
     @cached_property
     def by_trial(self) -> list[tuple[Whitener, FloatArray]]:
         """`components` of each trial, (…, rows of the trial)."""
-        return list(
-            zip(
-                self.whiteners,
-                self.all_trials.systematic_error.by_trial(self.components),
-                strict=True,
-            )
-        )
+        parts = self.all_trials.systematic_error.by_trial(self.components)
+        return list(zip(self.whiteners, parts, strict=True))
 
     @cached_property
     def level(self) -> tuple[float, float]:

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from cell.cable.effects.base import Effect
 from cell.lab.search.fit_cache import FitCache
-from cell.lab.search.fitted_model import FittedModel
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
+    FittedModel,
     log_variance_ratio,
     residual_summary,
     vuong_z,
 )
-from cell.lab.search.rivals import any_at_bound, close_rivals, is_at_bound, near_singles, step_p
+from cell.lab.search.partial import any_at_bound, close_rivals, is_at_bound, near_singles, step_p
 from cell.lab.verdict.checks import explains
 from cell.lab.verdict.evidence import Evidence
 

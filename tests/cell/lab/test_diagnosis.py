@@ -11,13 +11,13 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab import diagnosis
+from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.results import to_json
-from cell.lab.data.thresholds import DEFAULT_RULES
 from cell.lab.data.work import STAGES, Budget, SpentError, Work
 from cell.lab.diagnosis import diagnose, with_agreement, with_limits
+from cell.lab.fit.score_test import screen
 from cell.lab.report.tables import nearest_table
 from cell.lab.search import effect_search
-from cell.lab.search.screen import screen
 from cell.lab.verdict import ties
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.ties import with_ties

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cell.files.input_error import InputError
-from cell.lab.data.merge_studies import merge_studies
+from cell.lab.data.cycles import merge_studies
 from cell.lab.data.opened_study import open_study
 from cell.study.data import Markers, Wrench
 from cell.study.folder import write_study

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.next.planned import planned_trials
+from cell.lab.next.motion_file import Stroke
+from cell.lab.next.simulated import planned_trials
 from cell.lab.next.suggest import whitener_of_planned
-from cell.lab.next.suggestion import Stroke
 from cell.study.data import Markers, Study, Trial, Wrench, WrenchSensor
 from cell.study.hand_drift import HandDrift
 from tools.worlds.made_studies import CABLE

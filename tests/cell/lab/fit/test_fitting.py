@@ -12,7 +12,7 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
-from cell.lab.fit.starts import cold_start
+from cell.lab.search.extension import cold_start
 from tests.cell.lab.conftest import LONG
 
 

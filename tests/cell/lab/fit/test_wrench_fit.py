@@ -11,8 +11,8 @@ from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy, as_measured
 from cell.lab.fit.corrections import mesh_error_m, without_mesh_error
 from cell.lab.fit.fitting import fit_model
-from cell.lab.fit.starts import cold_start
-from cell.lab.next.hidden import HiddenEffectWorld
+from cell.lab.next.simulated import HiddenEffectWorld
+from cell.lab.search.extension import cold_start
 from cell.lab.search.fitted_model import POLISH
 from tools.worlds.made_studies import hidden
 from tools.worlds.rig_kinds import KINDS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cell.cable.effects import library
 from cell.lab.next.effect_query import EffectQuery
-from cell.lab.next.forecast import SizeSearch, forecast
+from cell.lab.next.study_power import SizeSearch, forecast
 
 SIZE_RAD_PER_N_M = 40.0
 AMPLITUDE_M = 4e-4

@@ -12,7 +12,7 @@ from cell.identify.gauss_newton import UnsimulatedError
 from cell.identify.noise import Noise
 from cell.lab.data.noise_model import noise_model_of
 from cell.lab.fit.sensitivity import changes
-from cell.lab.next.hidden import HiddenEffectWorld, refit_residual
+from cell.lab.next.simulated import HiddenEffectWorld, refit_residual
 
 MASS_KG = 2.5e-5
 

@@ -13,8 +13,8 @@ from cell.lab.fit.fitting import fit_model, fit_trials
 from cell.lab.fit.heldout import heldout
 from cell.lab.fit.projection import nuisance_of
 from cell.lab.fit.sensitivity import changes, sensitivities
-from cell.lab.next.hidden import HiddenEffectWorld
 from cell.lab.next.linear_study import own_sensitivities, rivals_of
+from cell.lab.next.simulated import HiddenEffectWorld
 from cell.lab.search.fitted_model import POLISH
 
 DRAG = 0.4

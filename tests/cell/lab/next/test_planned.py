@@ -9,9 +9,9 @@ import pytest
 
 from cell.cable.solver import Solver
 from cell.lab.next.effect_query import effect_queries
-from cell.lab.next.planned import with_motions
+from cell.lab.next.motion_file import Stroke
+from cell.lab.next.simulated import with_motions
 from cell.lab.next.study_power import power_of
-from cell.lab.next.suggestion import Stroke
 from tests.cell.lab.conftest import fits_of
 from tools.worlds.rig_kinds import KINDS
 from tools.worlds.rigs import rig_study

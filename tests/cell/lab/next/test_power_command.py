@@ -98,6 +98,6 @@ def test_a_motion_that_cannot_be_meant_is_refused(folder, tmp_path, name, text, 
 
 def test_a_study_that_no_model_fits_is_refused(folder, monkeypatch):
     """As if this error were larger than the motion of the markers."""
-    monkeypatch.setattr("cell.lab.fit.plausibility.NO_MODEL", 0.0)
+    monkeypatch.setattr("cell.lab.search.fitted_model.NO_MODEL", 0.0)
     done = run_cell("power", folder, "--try", "air_drag", code=2)
     assert "is not a model of this cable; correct the study first" in done.stderr

@@ -8,12 +8,11 @@ import pytest
 import yaml
 
 from cell.lab.next.effect_query import effect_queries
-from cell.lab.next.forecast import forecast
 from cell.lab.next.linear_study import LinearStudy
-from cell.lab.next.motion_file import hand_motion
-from cell.lab.next.planned import with_motions
+from cell.lab.next.motion_file import Suggestion, hand_motion, write_motion
+from cell.lab.next.simulated import with_motions
+from cell.lab.next.study_power import forecast
 from cell.lab.next.suggest import showing_motion, split_effects
-from cell.lab.next.suggestion import Suggestion, write_motion
 from cell.lab.search.fit_cache import FitCache
 from cell.settings.surroundings import Surroundings
 from cell.study.folder import write_study

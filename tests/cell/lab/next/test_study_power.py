@@ -12,8 +12,15 @@ from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import Diagnosis, Errors, MissingEffect
 from cell.lab.next import study_power
 from cell.lab.next.effect_query import effect_queries
-from cell.lab.next.forecast import POWER, CopyOutcome, Recovery, forecast
-from cell.lab.next.study_power import copy_outcome, power_of, recover
+from cell.lab.next.study_power import (
+    POWER,
+    CopyOutcome,
+    Recovery,
+    copy_outcome,
+    forecast,
+    power_of,
+    recover,
+)
 from cell.lab.report.model_tables import power_sentences, power_table, recovery_table
 from tests.cell.lab.conftest import fits_of
 

@@ -18,18 +18,17 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import Rival
 from cell.lab.fit.heldout import predict_cable
-from cell.lab.next.motion_file import load_motion
+from cell.lab.next.motion_file import Option, Stroke, Suggestion, load_motion, strokes, write_motion
+from cell.lab.next.simulated import planned_trials
 from cell.lab.next.suggest import (
     DECIDED,
     _evaluated,
     _prediction_of,
     _rest_low_m,
     _separation,
-    _trial,
     suggest_motion,
     whitener_of_planned,
 )
-from cell.lab.next.suggestion import Option, Stroke, Suggestion, strokes, write_motion
 from cell.plan.measuring import measuring_path
 from cell.settings import load_settings
 from cell.settings.surroundings import CLEARANCE_M, Surroundings, Swept, jaw_points_m
@@ -250,11 +249,11 @@ def test_a_motion_counts_with_the_wrench_that_the_study_has():
         Rival(name, space, space.coordinates(values), 1e-6 * np.eye(len(light)))
         for name, values in (("light", light), ("heavy", heavy))
     ]
-    box, coarse = Surroundings(), Solver(segments=20, step_s=2e-3, threads=1)
+    coarse = Solver(segments=20, step_s=2e-3, threads=1)
 
     def apart(measured, stroke):
         prepared = PreparedStudy.of(measured, solver=coarse)
-        known, trial = _trial(prepared, stroke, box)
+        known, (trial,) = planned_trials(prepared, [("stroke", stroke.motion())])
         (shown,), _ = predict_cable(known, trial, [rivals[0].model])
         white = whitener_of_planned(known, trial, shown)
         return _separation(*(_prediction_of(known, rival, trial, white)[0] for rival in rivals))

@@ -15,7 +15,7 @@ from cell.lab.next.advice import advice
 from cell.lab.report.report import comparison_page, diagnosis_page
 from cell.lab.report.wording import catalogue_entry
 from cell.lab.strength.compare import compare_model
-from cell.lab.strength.kept_model import identified
+from cell.lab.strength.estimate import identified
 from cell.lab.verdict.doubts import omitted_doubts
 from cell.study.data import Markers
 from tests.cell.lab.conftest import fits_of

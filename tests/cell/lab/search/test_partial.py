@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import pytest
 
 from cell.cable.effects import library
-from cell.lab.data.thresholds import DEFAULT_RULES
+from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.work import Work
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import space_with
-from cell.lab.search import partial, rivals
+from cell.lab.search import partial
 from cell.lab.search.fit_cache import FitCache, SearchSetup
+from cell.lab.search.fitted_model import ResidualSummary, log_variance_ratio, removed_share
 from cell.lab.search.partial import largest_step
-from cell.lab.search.residual_summary import ResidualSummary, log_variance_ratio, removed_share
 from cell.lab.verdict import conclusion, ties
 from cell.lab.verdict.ties import tied_so_far
 from tests.cell.lab.conftest import fits_of
@@ -85,7 +85,7 @@ def test_what_leaves_as_little_with_one_effect_more_is_tied_where_more_is_missin
     )
     monkeypatch.setattr(ties, "_as_good", lambda *args: [])
     monkeypatch.setattr(ties, "any_at_bound", lambda *args: False)
-    for module in (ties, rivals):
+    for module in (ties, partial):
         monkeypatch.setattr(
             module,
             "residual_summary",
@@ -135,7 +135,7 @@ def test_ties_are_what_models_that_are_all_wrong_cannot_tell(monkeypatch):
     )
     monkeypatch.setattr(ties, "near_singles", lambda *args: [])
     monkeypatch.setattr(ties, "is_at_bound", lambda small, large: large.at_bound)
-    for module in (ties, rivals):
+    for module in (ties, partial):
         monkeypatch.setattr(module, "residual_summary", lambda _, c: c.left)
     monkeypatch.setattr(ties, "vuong_z", lambda _, better, worse: worse.ahead)
     monkeypatch.setattr(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.lab.search import residual_summary
-from cell.lab.search.residual_summary import vuong_z
+from cell.lab.search import fitted_model
+from cell.lab.search.fitted_model import vuong_z
 
 RNG = np.random.default_rng(5)
 
@@ -14,7 +14,7 @@ def compared(monkeypatch):
     """`vuong_z` of residuals given as they are, per trial (times, channels)."""
 
     def compare(better, worse):
-        monkeypatch.setattr(residual_summary, "residuals_m", lambda _, errors: errors)
+        monkeypatch.setattr(fitted_model, "residuals_m", lambda _, errors: errors)
         return vuong_z(None, better, worse)
 
     return compare

@@ -9,11 +9,10 @@ from cell.cable.effects import library
 from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
-from cell.lab.fit import all_trials_fit
+from cell.lab.fit import systematic_error
 from cell.lab.fit.fitting import fit_model
-from cell.lab.fit.starts import cold_start
-from cell.lab.strength.estimate import disagreement, estimate
-from cell.lab.strength.kept_model import identified
+from cell.lab.search.extension import cold_start
+from cell.lab.strength.estimate import disagreement, estimate, identified
 
 
 def fitted(study):
@@ -63,7 +62,7 @@ def test_a_fit_left_before_its_minimum_allows_for_the_way_that_is_left(make_stud
     left = fit_model(prepared, fit.space, q, options=Options(max_iterations=1))
     assert not left.arrived
     assert fit.arrived
-    monkeypatch.setattr(all_trials_fit, "CONVERGED", Options(max_iterations=1))
+    monkeypatch.setattr(systematic_error, "CONVERGED", Options(max_iterations=1))
     mass = estimate(prepared, left).intervals(library()["tip_mass"])["mass_kg"]
     assert mass.low < 2e-5 < mass.high
     assert abs(mass.value - 2e-5) > 10.0 * np.sqrt(left.covariance[at, at])
@@ -83,7 +82,7 @@ def test_a_fit_whose_last_place_cannot_be_simulated_is_its_own_estimate(monkeypa
     class Stub(SimpleNamespace):
         __hash__ = object.__hash__
 
-    monkeypatch.setattr(all_trials_fit, "fit_model", impossible)
+    monkeypatch.setattr(systematic_error, "fit_model", impossible)
     fit = Stub(space=None, q=None, initial_states={})
     found = estimate(Stub(study=Stub(trials=()), memo={}), fit)
     assert (found.fit, found.disagreement) == (fit, 1.0)

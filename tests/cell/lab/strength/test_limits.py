@@ -12,8 +12,8 @@ from cell.cable.solver import Solver
 from cell.lab.data.prepared import PreparedStudy, all_fitted, as_measured, with_noise_model
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose, with_limits
-from cell.lab.fit.all_trials_fit import AllTrialsFit
 from cell.lab.fit.fitting import extended, fit_model, space_with
+from cell.lab.fit.systematic_error import AllTrialsFit
 from cell.lab.report.tables import limits_table
 from cell.lab.strength.limits import LimitSearch, limits
 from cell.study.data import Markers

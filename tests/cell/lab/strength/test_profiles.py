@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from cell.lab.fit.individual_model import read_model
+from cell.lab.search.setup import read_model
 from cell.study.folder import write_study
 from tests.cell.lab.conftest import STROKES
 from tests.command import run_cell

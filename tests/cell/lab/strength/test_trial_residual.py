@@ -5,7 +5,7 @@ import pytest
 
 from cell.identify.noise import Noise, rms
 from cell.lab.fit.series import ljung_box, lomb_scargle, smoothed, spectrum
-from cell.lab.strength.trial_residual import PHASES, across_tip, phase_of, trial_residual
+from cell.lab.strength.compare import PHASES, across_tip, phase_of, trial_residual
 
 
 def test_ljung_box_tells_white_from_coloured():

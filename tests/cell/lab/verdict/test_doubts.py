@@ -14,8 +14,8 @@ from cell.identify.gauss_newton import Options, UnsimulatedError
 from cell.identify.parameters import ParameterSpace
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.plausibility import at_bound
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.fitted_model import at_bound
 from cell.lab.verdict.doubts import fit_doubts
 from cell.study.data import Markers
 from cell.study.folder import write_study

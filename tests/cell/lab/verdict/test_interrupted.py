@@ -18,8 +18,8 @@ from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.work import Work, WorkStoppedError
 from cell.lab.diagnosis import diagnose, with_limits
 from cell.lab.fit.fitting import Rival
+from cell.lab.next.motion_file import Option
 from cell.lab.next.suggest import distinguishing_motions
-from cell.lab.next.suggestion import Option
 from cell.lab.next.terms import admissible
 from cell.lab.report.tables import sentence, verdict_line
 from cell.lab.strength.compare import compare_model

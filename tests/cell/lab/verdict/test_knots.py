@@ -12,9 +12,9 @@ from cell.exchange.description import description
 from cell.lab import diagnosis
 from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose
-from cell.lab.fit.individual_model import read_model
 from cell.lab.report.tables import knots_lines
 from cell.lab.search.fit_cache import FitCache
+from cell.lab.search.setup import read_model
 from tests.cell.lab.conftest import FEW_EFFECTS, fits_of
 
 pytestmark = pytest.mark.usefixtures("few_effects")

@@ -14,7 +14,7 @@ from cell.lab.data.noise_model import NoiseModel
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.fit.fitting import fit_model
 from cell.lab.fit.heldout import heldout
-from cell.lab.fit.starts import cold_start
+from cell.lab.search.extension import cold_start
 from cell.lab.verdict.check_statistics import parameter_constancy_of
 from cell.lab.verdict.smooth_part import (
     FastPart,

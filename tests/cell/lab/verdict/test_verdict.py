@@ -13,7 +13,7 @@ from cell.lab.data.results import to_json
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.advice import advice
 from cell.lab.report.tables import sentence, steps_text
-from cell.lab.search.residual_summary import (
+from cell.lab.search.fitted_model import (
     ResidualSummary,
     independent_values,
     log_variance_ratio,
