@@ -134,7 +134,7 @@ def document_of(text: str, path: Path) -> Document:
     def data_of(node: Node, key: Key) -> Any:
         line, column = node.start_mark.line + 1, node.start_mark.column + 1
         if len(key) > MAX_DEPTH:
-            message = f"is nested deeper than {MAX_DEPTH} levels, more than any file here needs"
+            message = f"is nested deeper than {MAX_DEPTH} levels, or within itself by an anchor"
             raise InputError.at(path, message, line=line, column=column)
         if len(places) > MAX_ENTRIES:
             message = f"makes more than {MAX_ENTRIES} entries, aliases counted; write fewer"

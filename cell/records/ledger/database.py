@@ -15,7 +15,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, inspect, select, text
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import NoSuchModuleError as NoDialectError
 
 from cell.files.atomic import named_folder
@@ -165,6 +165,8 @@ def database_errors(engine: Engine) -> Iterator[None]:
         line = f"{engine.url.render_as_string()}: {cause}"
         if _is_damaged(error):
             raise LedgerError(f"{line}; {_move_away(Path(engine.url.database or ''))}") from error
+        if engine.dialect.name != "sqlite" and isinstance(error, OperationalError):
+            line += "; check ledger.url, and that the database runs"
         raise LedgerError(line) from error
 
 

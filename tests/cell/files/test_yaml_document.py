@@ -68,7 +68,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("[" * 20_000, "nested deeper than 20 levels"),
         ("a: " + "{a: " * 3_000, "nested deeper than 20 levels"),
         ("a: " + "[" * 30 + "]" * 30, "nested deeper than 20 levels"),
-        ("a: &a [*a]", "nested deeper than 20 levels"),
+        ("a: &a [*a]", "or within itself by an anchor"),
         (BOMB, "makes more than 100000 entries, aliases counted"),
         ("x" * (MAX_BYTES + 1), "limit 0.2 MB"),
         ("size_m: true", "size_m: input should be a valid number (got True)"),

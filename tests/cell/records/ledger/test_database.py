@@ -66,6 +66,12 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path) -> None:
         Ledger(tmp_path / "runs", create=True)
 
 
+def test_a_server_that_does_not_answer_is_named_with_a_remedy() -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises(LedgerError, match=r"127\.0\.0\.1:1/x: .*; check ledger\.url, and that"):
+        Ledger("postgresql://127.0.0.1:1/x")
+
+
 @pytest.mark.parametrize(
     "statement",
     [
