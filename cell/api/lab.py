@@ -13,7 +13,7 @@ from cell.api.results import CompareResult, DiagnoseResult, FitResult, PowerResu
 from cell.cable.model import CableModel
 from cell.identify.identified import Identified
 from cell.identify.noise import Noise
-from cell.lab.data.check import DEFAULT_RULES, Rules, read_own_checks
+from cell.lab.data.check import read_own_checks
 from cell.lab.data.named_effects import (
     EffectSelection,
     candidates_in,
@@ -22,6 +22,7 @@ from cell.lab.data.named_effects import (
 )
 from cell.lab.data.opened_study import open_study
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, as_measured
+from cell.lab.data.rules import DEFAULT_RULES, Rules
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose as examine
 from cell.lab.diagnosis import with_strength

@@ -23,8 +23,8 @@ from cell.api.lab import (
 from cell.api.results import Row, Shown
 from cell.cable.solver import threads
 from cell.files.table import TableData
-from cell.lab.data.check import DEFAULT_RULES, Rules
 from cell.lab.data.named_effects import EffectSelection, select_for_diagnosis
+from cell.lab.data.rules import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.line.together import Together, check_names, together
 from cell.lab.report.line_tables import together_page, together_parts

@@ -1,16 +1,18 @@
 """A diagnosis from top to bottom: which physical effects the model of a cable lacks.
 
-    prepare     outliers, clocks, initial states, noise; the baseline fitted     `search.setup`
-    search      effects added while they are significant and confirmed           `search`
-    noise       re-estimated given the final model; the search is repeated once  `search.fit_cache`
-    knots       more of EI(s) where no effect explains as much; search repeated  `verdict.knots`
-    explain     ties of the effects, or else the best partial explanation        `verdict.ties`
-    check       the table of checks on the evidence                              `verdict.checks`
-    conclude    verdict, claims, doubts                                          `conclusion`
-    strength    limits of the other effects, agreement of the trials             `strength`
+    search      effects added while they are significant and confirmed        `search`
+    noise       re-estimated given the final model; the search is repeated once`search.fit_cache`
+    knots       more of EI(s) where no effect explains as much; search repeated`verdict.knots`
+    explain     ties of the effects                                           `verdict.ties`
+                or else the best partial explanation                          `search.partial`
+    check       the table of checks on the evidence                           `verdict.checks`
+    conclude    verdict, claims, doubts                                       `verdict.conclusion`
 
-Each stage has its share of the budget of work.  Omitted computations are reported, and claims that
-they could change are not made.
+`FitCache.of` prepares the study before: noise and initial states (`data.prepared`), outliers
+(`search.setup`), fit of the baseline (`search.baseline`).  `with_strength` computes limits of the
+other effects and agreement of the trials afterwards (`strength`).  `data.work` divides a budget of
+simulated time among `STAGES`; if it is spent, `ended_early` concludes with the results so far.
+Omitted computations are reported, and claims that they could change are not made.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from cell.lab.search.stepwise import in_order
 from cell.lab.strength.limits import limits
 from cell.lab.strength.trial_agreement import agreement
 from cell.lab.verdict.checks import evaluate, explains
-from cell.lab.verdict.conclusion import Examination, conclude, interrupted, unconfirmed
+from cell.lab.verdict.conclusion import Examination, conclude, ended_early, unconfirmed
 from cell.lab.verdict.doubts import MEANINGLESS, NO_MODEL, UNSIMULATED_SEARCH, ended_doubt
 from cell.lab.verdict.evidence import Evidence
 from cell.lab.verdict.knots import with_more_knots
@@ -77,7 +79,7 @@ def diagnose(fits: FitCache) -> Examination:
             return _concluded(checked if usual is None or checked.explained else usual)
     except WorkStoppedError as error:
         work.conclude()
-        return interrupted(fits, error)
+        return ended_early(fits, error)
     except UnsimulatedError:
         return unconfirmed(fits, "cannot_tell", UNSIMULATED_SEARCH)
 

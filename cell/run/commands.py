@@ -18,6 +18,7 @@ RESUMING = {MachineEvent.HOLD: MachineEvent.UNHOLD, MachineEvent.SUSPEND: Machin
 def too_old(command: str, requested_s: float) -> str:
     """Reason to refuse a command sent at `requested_s` on the monotonic clock; "" = none.
 
+    Pages ask before they send a command, the service before it accepts and before it executes it.
     A time of a different clock is refused, too.
     """
     age_s = time.monotonic() - requested_s

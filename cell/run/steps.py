@@ -1,8 +1,9 @@
-"""The steps of an insertion; `measuring_steps` has the others.
+"""The steps of an insertion and of the states before it; `measuring_steps` has the others.
 
-Only these, `waiting`, `filming`, `endings`, the `dry_run` and the `watch` call devices.
-A step takes the station and the findings that it reads, and returns those that it adds; it has no
-other state.  `plans` lists the steps, what each reads and adds, and their order.
+Of this package, only the steps, `waiting`, `filming`, `endings`, `dry_run` and `watch` call
+devices.  A step takes the station and the findings that it reads, and returns those that it adds;
+it has no other state.  A cable is rejected by its findings, not by an exception.  `plans` lists the
+steps, what each reads and adds, and their order.
 """
 
 from __future__ import annotations

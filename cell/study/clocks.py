@@ -1,4 +1,8 @@
-"""Checks of time: gripper log and frames share one clock, and the log has no gap or cut-off."""
+"""Checks of time: gripper log and frames share one clock, and the log has no gap or cut-off.
+
+Offsets of clocks are estimated by `cell.study.imports.trials`; a small one that remains is the
+effect `camera_latency`.
+"""
 
 from __future__ import annotations
 

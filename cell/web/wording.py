@@ -1,7 +1,8 @@
 """Translations of the pages' texts, from gettext's catalogues; English is the source.
 
-A further language is a file `locales/LANGUAGE/LC_MESSAGES/cell.po`.  Its messages may have
-placeholders for values:
+A new text needs an entry in `locales/de/LC_MESSAGES/cell.po`, and that of a new class of errors one
+in `tests/cell/web/sentences.py`.  A further language is a file
+`locales/LANGUAGE/LC_MESSAGES/cell.po`.  Its messages may have placeholders for values:
 
     {name}            any text, which is not translated
     {name:number}     a number, with the decimal sign of the language

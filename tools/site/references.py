@@ -21,7 +21,8 @@ from cell.cli import PANELS, app
 from cell.files.yaml_edit import UNSET, flow
 from cell.identify.identified import Identified
 from cell.lab.data import results
-from cell.lab.data.check import DEFAULT_RULES, Check
+from cell.lab.data.check import Check
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
 from cell.lab.search.fitted_model import FittedModel
 from cell.lab.verdict.checks import CHECKS

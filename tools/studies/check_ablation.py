@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from cell.lab.data.check import COMPARE, DEFAULT_RULES, CheckOutcome, worst_verdict
+from cell.lab.data.check import COMPARE, CheckOutcome, worst_verdict
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.verdict.checks import CHECKS
 from cell.lab.verdict.conclusion import Examination
 from cell.lab.verdict.evidence import Evidence

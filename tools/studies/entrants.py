@@ -19,9 +19,9 @@ import numpy as np
 from cell.api.lab import diagnosed, examined, opened_study, set_up, set_up_opened
 from cell.cable.effects import library
 from cell.cable.effects.base import Effect
-from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.named_effects import EffectSelection
 from cell.lab.data.prepared import all_fitted
+from cell.lab.data.rules import SIGNIFICANCE
 from cell.lab.data.work import Budget, Work
 from cell.lab.fit.fitting import best_initial_state, fit_model, fit_trials
 from cell.lab.fit.sensitivity import nuisance_of, sensitivities

@@ -1,4 +1,7 @@
-"""Effects → compiled loops, cached on disk; the same for the project's own and a user's."""
+"""Effects → compiled loops, cached on disk; the same for the project's own and a user's.
+
+`cell.cable.stepping.integrate` calls the loops by their addresses (`pointer`).
+"""
 
 from __future__ import annotations
 

@@ -6,8 +6,10 @@ and correlation from the frames at rest, and `with_levels` levels of single mark
 they differ.  Given a fitted model, `noise_model_of_all_frames` maximises the likelihood of rest and
 motion within the confidence set from rest; `with_conditional_noise` of `cell.lab.fit.corrections`
 calls it, for the baseline and again for the selected model.  A stated level is not re-estimated,
-and the correlation is then at most that of a model's residuals (`noise_model_of_residuals`).  The
-field `noise` of `PreparedStudy` is the result, with which residuals are whitened.
+and the correlation is then at most that of a model's residuals (`noise_model_of_residuals`, called
+by `with_noise_from`).  The field `noise` of `PreparedStudy` is the result, with which residuals are
+whitened, unless the error of an earlier cable's model is larger (`misfit` of `search.setup`).
+`cell run` estimates the noise of a single cable by `cell.identify.noise`.
 """
 
 from __future__ import annotations

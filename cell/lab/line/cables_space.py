@@ -15,9 +15,9 @@ from cell.cable.effects.base import Effect
 from cell.files.words import counted
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.cycles import RecordedCycle
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.rules import SIGNIFICANCE
 from cell.lab.fit.fitting import Fit, start_from
 from cell.lab.fit.score_test import ScreenedEffect, screen
 from cell.lab.fit.sensitivity import shapes_of

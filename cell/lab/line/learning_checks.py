@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.lab.data.check import DEFAULT_RULES, Check, CheckOutcome, Reading, worst_verdict
+from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
 from cell.lab.data.noise_model import KNOWN_WITHIN
 from cell.lab.data.results import Verdict
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.fit.shared import SharedFit, Spread
 from cell.lab.line.effect_fit import EffectFit, LearningResult
 from cell.lab.line.forecasts import ForecastPair

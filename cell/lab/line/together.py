@@ -17,8 +17,8 @@ from scipy.special import stdtrit as t_quantile
 
 from cell.cable.arrays import FloatArray
 from cell.files.plain import plain
-from cell.lab.data.check import Rules
 from cell.lab.data.results import Verdict
+from cell.lab.data.rules import Rules
 from cell.lab.fit.shared import Spread
 from cell.lab.line.cables_space import ranked_by_screens
 from cell.lab.search.fitted_model import FittedModel

@@ -13,7 +13,7 @@ from scipy.special import ndtri as normal_quantile
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gaussian import covariance_root
-from cell.lab.data.check import DEFAULT_RULES as RULES
+from cell.lab.data.rules import DEFAULT_RULES as RULES
 from cell.lab.fit.sensitivity import one_sided
 from cell.lab.next.linear_study import LinearStudy, Sensitivities
 from cell.lab.search.fitted_model import bic_penalty, p_value_of_fall

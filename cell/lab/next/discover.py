@@ -13,8 +13,8 @@ import numpy as np
 from cell.cable.effects import Effect, library, load_effect, unscreened
 from cell.cable.effects.base import Parameter
 from cell.files.atomic import write_atomic
-from cell.lab.data.check import Rules
 from cell.lab.data.results import Interval
+from cell.lab.data.rules import Rules
 from cell.lab.diagnosis import diagnose
 from cell.lab.next.terms import NAMESPACE, Term, admissible
 from cell.lab.search.fit_cache import FitCache, with_joined

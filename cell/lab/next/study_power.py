@@ -24,10 +24,10 @@ from cell.cable.solver import threads
 from cell.files.plain import plain
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.noise_model import NoiseUnknownError
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy
 from cell.lab.data.results import Diagnosis, Doubt
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.data.work import DIAGNOSIS, Progress, SpentError, Work, WorkStoppedError, no_progress
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import fit_trials

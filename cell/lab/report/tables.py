@@ -8,8 +8,8 @@ import numpy as np
 
 from cell.files.table import TableData
 from cell.identify.parameters import Prior
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.results import Agreement, CheckResult, Diagnosis, Doubt, Errors, TrialValue
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.fit.series import rms_over
 from cell.lab.next.advice import STATUSES, NextStep, meaning
 from cell.lab.report.wording import (
@@ -20,7 +20,7 @@ from cell.lab.report.wording import (
     chance,
     class_in_words,
     digits,
-    interrupted,
+    ended_early,
     mm,
     noise_label,
     noise_like,
@@ -67,7 +67,7 @@ def sentence(
     if diagnosis.verdict == "unexplained":
         return unexplained(diagnosis, misses, noise_name)
     if diagnosis.ended_early and not diagnosis.missing:
-        return interrupted(diagnosis, misses)
+        return ended_early(diagnosis, misses)
     if not diagnosis.missing:
         return f"{misses}, {at_noise(diagnosis)}. {reasons_not_claimed(diagnosis) or NOT_WHY}"
     after_mm = _shown_mm(diagnosis.missing[-1].errors)

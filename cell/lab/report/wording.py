@@ -66,7 +66,7 @@ def unexplained(diagnosis: Diagnosis, misses: str, noise_name: str = "camera noi
     return f"{text}. No effect that was tried explains the remaining error."
 
 
-def interrupted(diagnosis: Diagnosis, misses: str) -> str:
+def ended_early(diagnosis: Diagnosis, misses: str) -> str:
     """Sentence for a diagnosis that ended early, with the nearest effect until then."""
     why = "Interrupted." if "interrupted" in diagnosis.codes else "The limit of work was reached."
     text = f"{why} {misses}, {at_noise(diagnosis)}"

@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import DEFAULT_RULES, Rules
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, with_noise_from
+from cell.lab.data.rules import DEFAULT_RULES, Rules
 from cell.lab.data.work import Progress, no_progress
 from cell.lab.fit.corrections import corrected, with_conditional_noise, with_gain_of
 from cell.lab.fit.fitting import Fit, errors_m, fit_model, fit_trials, space_with, with_slope_solver

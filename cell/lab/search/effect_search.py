@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from cell.lab.data.check import Rules
+from cell.lab.data.rules import Rules
 from cell.lab.search.baseline import SearchSetup
 from cell.lab.search.fit_cache import FitCache, noise_reestimated
 from cell.lab.search.fitted_model import FittedModel, added_effect
@@ -58,13 +58,14 @@ class Confirmation:
         return log_lr < rules.heldout_gain and weak
 
 
-def _accepted_of(
+def _effect_to_add(
     fits: FitCache, current: FittedModel, options: Sequence[FittedModel]
 ) -> FittedModel | None:
     """The confirmed option with the most evidence; else the best that cannot be confirmed.
 
-    All effects of the library count as tried: those not refitted were not significant in the
-    screen.
+    An effect is added if its p, corrected by Holm, is below `Rules.significance`, its ΔBIC is
+    positive, and the held-out trials confirm it.  All effects of the library count as tried: those
+    not refitted were not significant in the screen.
     """
     rules, gains = fits.rules, [fits.gain(current, o) for o in options]
     adjusted = holm_among([g.p_value for g in gains], fits.tried)
@@ -148,7 +149,7 @@ def _accepted(fits: FitCache) -> tuple[FittedModel, SearchSetup | None]:
         return fits.work.affords("further effects")
 
     def select(current: FittedModel, options: Sequence[FittedModel]) -> list[FittedModel]:
-        better = _accepted_of(fits, current, options)
+        better = _effect_to_add(fits, current, options)
         if better is None:
             return []
         if len(fits.added(better)) > 1 and not _two_explain_little(fits, better):

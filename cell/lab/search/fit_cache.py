@@ -13,8 +13,8 @@ from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
 from cell.identify.gauss_newton import UNSIMULATED
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import Rules
 from cell.lab.data.prepared import ERROR_RATIO, PreparedStudy, arcs_are_uncertain
+from cell.lab.data.rules import Rules
 from cell.lab.data.work import Progress, Work
 from cell.lab.fit.corrections import (
     corrected,

@@ -19,9 +19,9 @@ from cell.cable.effects.base import Effect
 from cell.identify.fit import frames_detected, variance_inflation
 from cell.identify.gaussian import parameters_root
 from cell.identify.identified import Identified
-from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Interval
+from cell.lab.data.rules import SIGNIFICANCE
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.projection import is_distinct, orthonormal
 from cell.lab.fit.sensitivity import one_sided

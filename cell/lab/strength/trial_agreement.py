@@ -14,9 +14,9 @@ from cell.cable.arrays import FloatArray
 from cell.identify.fit import variance_inflation
 from cell.identify.gauss_newton import UNSIMULATED, Options
 from cell.identify.parameters import ParameterSpace
-from cell.lab.data.check import SIGNIFICANCE
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Agreement, TrialValue
+from cell.lab.data.rules import SIGNIFICANCE
 from cell.lab.data.work import Progress, no_progress, side_by_side
 from cell.lab.fit.fitting import Fit, fit_model
 from cell.lab.fit.score_test import holm

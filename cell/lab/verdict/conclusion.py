@@ -123,8 +123,8 @@ def conclude(
     )
 
 
-def interrupted(fits: FitCache, error: WorkStoppedError) -> Examination:
-    """The diagnosis of a study that was stopped early; no effect is confirmed."""
+def ended_early(fits: FitCache, error: WorkStoppedError) -> Examination:
+    """The diagnosis if a person stops it or its work is spent; no effect is confirmed."""
     base = fits.base
     tried = sum(len(c.names) == len(base.names) + 1 for c in fits.known())
     doubt = ended_doubt(
@@ -165,7 +165,11 @@ def sound(singles: Sequence[FittedModel], base: FittedModel) -> list[FittedModel
 def added_effects(
     fits: FitCache, steps: Sequence[FittedModel], tied: Mapping[str, Sequence[str]]
 ) -> tuple[MissingEffect, ...]:
-    """The effects that the steps after the first one have added, with their evidence."""
+    """The effects that the steps after the first one have added, with their evidence.
+
+    Their p is multiplied by the number of effects tried (Bonferroni); it is printed, and differs
+    from the Holm-corrected one by which `effect_search` has added them.
+    """
     if len(steps) == 1:
         return ()
     final, missing = estimate(fits.prepared, steps[-1].fit, fits.library.values()), []

@@ -10,8 +10,9 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.cable.effects.base import Effect
-from cell.lab.data.check import OwnCheck, Residual, Rules
+from cell.lab.data.check import OwnCheck, Residual
 from cell.lab.data.prepared import PreparedStudy
+from cell.lab.data.rules import Rules
 from cell.lab.fit.fitting import Fit, fit_trials
 from cell.lab.fit.score_test import holm
 from cell.lab.search.fit_cache import FitCache

@@ -2,6 +2,7 @@
 
 After ISA-101 (human machine interfaces for process automation systems) colours mark only items that
 need a person; after IEC 60204-1 Start is white and Stop black, and no screen button is red.
+A button calls `Visit.command`, which sends the command to the service (`cell.plant.client`).
 """
 
 from __future__ import annotations

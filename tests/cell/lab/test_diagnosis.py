@@ -11,8 +11,8 @@ import pytest
 
 from cell.cable.effects import library
 from cell.lab import diagnosis
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.results import to_json
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.data.work import STAGES, Budget, SpentError, Work
 from cell.lab.diagnosis import diagnose, with_agreement, with_limits
 from cell.lab.fit.score_test import screen

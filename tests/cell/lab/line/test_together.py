@@ -18,8 +18,8 @@ from cell.cable.effects import ActiveEffect, library
 from cell.cli import app
 from cell.files.input_error import InputError
 from cell.lab.data import named_effects
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.line.together import Hypothesis, StudyPart, joint_verdict, together
 from cell.lab.verdict.conclusion import Examination
 from cell.study.data import Markers, Study

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from cell.cable.effects import library
-from cell.lab.data.check import DEFAULT_RULES
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.fit.score_test import boundary_p_value
 from cell.lab.fit.sensitivity import shape_count
 from cell.lab.next.decisions import EffectTest, StudyConstants

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cell.lab.data.check import DEFAULT_RULES
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.search.effect_search import Confirmation
 
 RULES = DEFAULT_RULES

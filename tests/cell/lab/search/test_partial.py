@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from cell.cable.effects import library
-from cell.lab.data.check import DEFAULT_RULES
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.data.work import Work
 from cell.lab.diagnosis import diagnose
 from cell.lab.fit.fitting import space_with

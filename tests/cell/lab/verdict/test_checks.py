@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.lab.data.check import DEFAULT_RULES, Check, CheckOutcome, Reading, Rules, worst_verdict
+from cell.lab.data.check import Check, CheckOutcome, Reading, worst_verdict
+from cell.lab.data.rules import DEFAULT_RULES, Rules
 from cell.lab.line.learning_checks import GATES, LEARNING, LineRules
 from cell.lab.verdict import check_statistics
 from cell.lab.verdict.checks import CHECKS, LEAVES_NOISE, MAY_BE_CLAIMED, evaluate, explains

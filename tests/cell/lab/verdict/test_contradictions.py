@@ -13,9 +13,9 @@ from rich.console import Console
 from cell.cable.effects import library
 from cell.cli.output import show
 from cell.identify.gauss_newton import Options
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.prepared import all_fitted
 from cell.lab.data.results import RankedEffect, to_json
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.diagnosis import diagnose, with_agreement
 from cell.lab.fit.fitting import fit_model
 from cell.lab.next.advice import MEND, Paths, advice

@@ -8,8 +8,8 @@ import pytest
 
 from cell.api.lab import fit_study
 from cell.cable.effects import library
-from cell.lab.data.check import DEFAULT_RULES
 from cell.lab.data.named_effects import EffectSelection
+from cell.lab.data.rules import DEFAULT_RULES
 from cell.lab.search.setup import fit_cache_of
 from cell.lab.verdict import prior_check
 from cell.lab.verdict.checks import explains
