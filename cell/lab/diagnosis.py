@@ -1,8 +1,8 @@
 """A diagnosis from top to bottom: which physical effects the model of a cable lacks.
 
     search      effects added while they are significant and confirmed        `search`
-    noise       re-estimated given the final model; the search is repeated once`search.fit_cache`
-    knots       more of EI(s) where no effect explains as much; search repeated`verdict.knots`
+    noise       re-estimated given the final model; search repeated once      `search.fit_cache`
+    knots       more of EI(s) where no effect explains as much; repeated      `verdict.knots`
     explain     ties of the effects                                           `verdict.ties`
                 or else the best partial explanation                          `search.partial`
     check       the table of checks on the evidence                           `verdict.checks`

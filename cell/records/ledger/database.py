@@ -166,7 +166,7 @@ def database_errors(engine: Engine) -> Iterator[None]:
         if _is_damaged(error):
             raise LedgerError(f"{line}; {_move_away(Path(engine.url.database or ''))}") from error
         if engine.dialect.name != "sqlite" and isinstance(error, OperationalError):
-            line += "; check ledger.url, and that the database runs"
+            raise LedgerError(f"{line}; check ledger.url, and that the database runs") from error
         raise LedgerError(line) from error
 
 
