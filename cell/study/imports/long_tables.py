@@ -52,10 +52,10 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     raises  InputError: a marker has two rows at one time
     """
     capture = with_joined_times(capture)
+    capture, labels = _with_trial_words(capture, labels)
     time = time_column(capture)
     if time is None:
         return _without_text(capture, list(labels))
-    capture, labels = _with_trial_words(capture, labels)
     if (column := trial_column(capture)) is not None:
         return _trial_by_trial(capture, labels, column)
     t = capture.values[:, time]

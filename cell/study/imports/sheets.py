@@ -9,13 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, is_number, number
+from cell.study.imports.capture import Capture, is_clock, is_number, number
 from cell.study.imports.contents import Contents, contents
 from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import pivoted
 from cell.study.imports.text_content import is_text
+from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import Row, without_summary
 from cell.study.imports.units import METRES, split_unit
 
@@ -58,7 +59,7 @@ def _sheets(path: Path) -> dict[str, Capture]:
     of_cable: tuple[tuple[str, float], ...] = ()
     pages = _tables_of_database if path.suffix.lower() in _DATABASES else _pages_of_workbook
     for title, page in pages(path):
-        rows = [Row(i, tuple(map(cell_text, cells))) for i, cells in enumerate(page, 1)]
+        rows = [Row(i, tuple(cells)) for i, cells in enumerate(_texts(list(page)), 1)]
         of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
         try:
             capture = _table_of(path, [row for row in rows if not row.blank])
@@ -72,6 +73,20 @@ def _sheets(path: Path) -> dict[str, Capture]:
         message = "no sheet holds rows of numbers; give a line of names above them"
         raise InputError.at(path, message)
     return {title: replace(table, of_cable=of_cable) for title, table in tables.items()}
+
+
+def _texts(page: Sequence[Sequence[object]]) -> Iterator[list[str]]:
+    """Cells of each row as text; numbers that are texts have one decimal mark, as in a CSV."""
+    texts = [c for cells in page[:_MAX_HEADER] for c in cells if isinstance(c, str)]
+    point, comma = (sum(is_number(text, mark) for text in texts) for mark in DECIMALS)
+    for cells in page:
+        yield [_with_point(c) if comma > point else c for c in map(cell_text, cells)]
+
+
+def _with_point(cell: str) -> str:
+    """A cell with a point for the decimal comma of a number."""
+    is_one = "," in cell and is_number(cell, ",") and not is_clock(cell)
+    return repr(number(cell, ",")) if is_one else cell
 
 
 def _pages_of_workbook(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
@@ -129,12 +144,14 @@ def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
     tables = (i for i, count in enumerate(numbers) if count >= 2 and rows[i].is_data("."))
     if (first := next(tables, None)) is None:
         return None
-    width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
+    filled = [i for i, cell in enumerate(rows[first].cells) if cell]
+    begin, end = filled[0], filled[-1] + 1
     for row in rows[:first]:
-        named = [i for i, cell in enumerate(row.cells, 1) if cell]
-        width = max(width, len(named) if len(named) > 2 else 0)
-    above = [(row.line, row.cells[:width]) for row in rows[:first]]
-    table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
+        named = [i for i, cell in enumerate(row.cells) if cell]
+        if len(named) > 2:
+            begin, end = min(begin, named[0]), max(end, named[-1] + 1)
+    above = [(row.line, row.cells[begin:end]) for row in rows[:first]]
+    table = [Row(row.line, row.cells[begin:end]) for row in rows[first:]]
     table, below = without_summary(path, table, ".")
     header = read_header(path, above, table[0].cells)
     capture, labels = captured(path, header, table, ".")

@@ -58,7 +58,8 @@ from cell.study.imports.units import METRES
 _DOWN = 0.5
 #: Maximum distance of a marker at the gripping point, as a fraction of the cable's length.
 _AT_GRIPPER = 0.005
-#: Minimum share in the plane of the line between two points that show the clamp angle.
+#: Minimum share in the plane of the line between two points that show the clamp angle, and maximum
+#: ratio of its noise to its length.
 _ACROSS = 0.2
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
@@ -313,13 +314,26 @@ def _gripper(
     inside = replace(inside, angles=inside.angles + angles)
     second = None
     if chosen.second is not None:
-        rest = shape_at_rest(detected_points(capture, (hand, chosen.second), chosen))
-        line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
-        if np.linalg.norm(line) > _ACROSS * np.linalg.norm(rest[1] - rest[0]):
+        line = _line(detected_points(capture, (hand, chosen.second), chosen), axes)
+        if line is not None:
             second = chosen.second, angle_of(line)
     root = replace(root, angle_rad=root_in_rows(scene))
     angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)
+
+
+def _line(both: FloatArray, axes: AxesSection) -> FloatArray | None:
+    """(2,) line in the plane between two points at rest; None = too short, or for its noise.
+
+    both  (rows, 2, d) positions of points of one body: the distance varies by their noise
+    """
+    rest = shape_at_rest(both)
+    line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
+    distance = np.linalg.norm(both[:, 1] - both[:, 0], axis=1)
+    distance = distance[np.isfinite(distance)]
+    noise = np.median(np.abs(distance - np.median(distance))) if len(distance) else np.inf
+    least = max(_ACROSS * np.linalg.norm(rest[1] - rest[0]), noise / _ACROSS)
+    return line if np.linalg.norm(line) > least else None
 
 
 def _nearest(
