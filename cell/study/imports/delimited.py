@@ -19,12 +19,14 @@ from cell.study.imports.capture import (
     Decimal,
     TextForm,
     is_clock,
+    is_day_time,
     is_grouped,
     is_number,
     number,
 )
 from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
+from cell.study.imports.days import over_midnight, with_dates
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
@@ -289,7 +291,8 @@ def captured(
     raises  InputError: a cell of a numeric column is not a number
     """
     table, columns = without_units(path, table, header.columns, decimal)
-    header = replace(header, columns=columns)
+    table, columns = with_dates(table, columns)
+    header = replace(header, columns=tuple(columns))
     grouped = any(is_grouped(c.strip(), decimal) for row in table[:SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
     values, notes = _values(path, table, header, numeric, decimal, grouped)
@@ -303,6 +306,10 @@ def captured(
         for c, column in enumerate(header.columns)
         if numeric[c]
     )
+    times = [c for c, is_one in enumerate(numeric) if is_one]
+    for k, c in enumerate(times):
+        if all(is_day_time(row.cells[c]) for row in table):
+            values[:, k] = over_midnight(values[:, k])
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
     capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time, order=header.order)
