@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -45,7 +44,7 @@ from cell.study.imports.sheets import (
 from cell.study.imports.stated import OF_CABLE
 from cell.study.imports.streams import streams_tree
 from cell.study.imports.trial_dimension import by_trials, with_trials_first
-from cell.study.imports.units import METRES, split_unit, unit_of
+from cell.study.imports.units import METRES, SECONDS, split_unit, unit_of
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
@@ -162,22 +161,30 @@ def _mat(path: Path) -> tuple[Tree, Units]:
 def _arrow(form: str, path: Path) -> tuple[Tree, Units]:
     """Columns of a table of Arrow's; form: the module that reads it."""
     table, columns = import_module(f"pyarrow.{form}").read_table(path), Tree()
+    units: Units = {}
+    is_duration, is_date = (getattr(import_module("pyarrow.types"), f"is_{kind}")
+                            for kind in ("duration", "timestamp"))  # fmt: skip
     for name in table.column_names:
-        values = table.column(name).to_pylist()
+        column = table.column(name)
+        if is_duration(column.type) or is_date(column.type):
+            counts = column.cast("int64").to_numpy()  # nan where null
+            columns[(name,)] = counts * SECONDS[column.type.unit.replace("us", "µs")]
+            units |= {(name,): "s"} if is_duration(column.type) else {}
+            continue
+        values = column.to_pylist()
         if values and any(isinstance(v, list) for v in values):
             size = max(len(v) for v in values if isinstance(v, list))
             values = [v if isinstance(v, list) else [None] * size for v in values]
             columns[(name,)] = np.array(values, dtype=np.float64)
         else:
             columns[(name,)] = _series(values)
-    return columns, {}
+    return columns, units
 
 
 def _series(values: Sequence[object]) -> NDArray[Any]:
     """Numbers if all values are; else words."""
-    if all(v is None or isinstance(v, bool | int | float | datetime) for v in values):
-        seconds = [v.timestamp() if isinstance(v, datetime) else v for v in values]
-        return np.array(seconds, dtype=np.float64)
+    if all(v is None or isinstance(v, bool | int | float) for v in values):
+        return np.array(values, dtype=np.float64)
     return np.array([cell_text(v) for v in values], dtype=object)
 
 

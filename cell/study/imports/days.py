@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.capture import CapturedColumn, is_clock, is_day_time, is_number
+from cell.study.imports.capture import Capture, CapturedColumn, is_clock, is_day_time, is_number
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.text_rows import Row
 
 _DAY_S = 86_400.0
+#: Days from 1899-12-30, from which spreadsheets count, to 1970; resolution of a coarse clock.
+_DAYS_TO_1970, _COARSE_S = 25_569, 1.0
 
 
 def with_dates(
@@ -36,6 +40,36 @@ def _moment(date: str, time: str) -> str:
     day = date.strip().removesuffix(" 00:00:00")  # as a workbook has it
     text = f"{day} {time.strip()}"
     return text if is_clock(text) and is_number(text, ".") else ""
+
+
+def with_fine_times(capture: Capture, clocks: Sequence[str]) -> Capture:
+    """The table with a column that counts days, instead of a coarser clock of dates that it tells.
+
+    clocks  columns of dates with times of day
+    source  Siemens WinCC, data log: `Time_ms` is a million times the days since 1899-12-30
+    """
+    for clock, fine in permutations(capture.names, 2):
+        if clock not in clocks or fine in clocks:
+            continue
+        if meaning(CapturedColumn(fine)).kind is not ColumnKind.TIME:
+            continue
+        of_clock, days = capture.column(clock), capture.column(fine)
+        if len(np.unique(days)) <= len(np.unique(of_clock)):  # it is no finer
+            continue
+        for unit_s in (_DAY_S, _DAY_S / 1e6):
+            t_s = days * unit_s - _DAYS_TO_1970 * _DAY_S
+            if np.all(np.abs(t_s - of_clock) <= _COARSE_S):
+                names = capture.names
+                columns = [replace(c, unit="s") if c.name == fine else c for c in capture.columns]
+                values = capture.values.copy()
+                values[:, names.index(fine)] = t_s
+                note = (
+                    f"{capture.path}: {fine!r} counts {unit_s:g} s since 1899-12-30, as {clock!r} "
+                )
+                kept = [i for i, name in enumerate(names) if name != clock]
+                told = replace(capture, columns=tuple(columns), values=values).of_columns(kept)
+                return told.noted(f"{note}shows, which is coarser and is not read")
+    return capture
 
 
 def over_midnight(t_s: FloatArray) -> FloatArray:

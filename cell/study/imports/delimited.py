@@ -26,7 +26,7 @@ from cell.study.imports.capture import (
 )
 from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
-from cell.study.imports.days import over_midnight, with_dates
+from cell.study.imports.days import over_midnight, with_dates, with_fine_times
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
@@ -277,7 +277,8 @@ def _raw_table(
         capture = replace(capture, values=np.vstack([capture.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
     begins = "another table begins here; it is not read"
-    if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
+    more = [row for row in rows[last:] if not _is_remark(row, form.decimal)]
+    if not any(goes_on(row, table[0], form.decimal) for row in more):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
     return replace(capture, form=form).noted(*row_notes, *comment_notes, *notes), labels
@@ -313,7 +314,8 @@ def captured(
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
     capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time, order=header.order)
-    return capture, labels
+    clocks = [header.columns[c].name for c in times if is_clock(table[0].cells[c])]
+    return with_fine_times(capture, clocks), labels
 
 
 def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
@@ -348,7 +350,11 @@ def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, 
             break
         else:
             raise _row_error(path, rows[i])
-    while last > first + 1 and not goes_on(rows[last - 1], rows[first], form.decimal):
+    labels = Counter(row.cells[0] for row in rows[first:last])
+    while last > first + 1 and (
+        not goes_on(rows[last - 1], rows[first], form.decimal)
+        or (_is_remark(rows[last - 1], form.decimal) and labels[rows[last - 1].cells[0]] == 1)
+    ):
         last -= 1
     return first, _check_width(path, rows, first, last, form)
 

@@ -11,7 +11,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
-from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
+from cell.study.imports.capture import ROW_NUMBER, Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
@@ -32,6 +32,7 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
+    TimeSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -61,6 +62,8 @@ _AT_GRIPPER = 0.005
 #: Minimum share in the plane of the line between two points that show the clamp angle, and maximum
 #: ratio of its noise to its length.
 _ACROSS = 0.2
+#: Rows between the ends of columns of one rate, as a share of all rows.
+_ENDS_APART = 0.1
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
 #: Maximum number of scales tried, as the root depends on them; tolerance of the last, and of a unit
@@ -123,6 +126,8 @@ def _proposed(
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
     time, finding = time_section(first.capture, inside, stated.rate_hz)
+    if inside.counts or time.column == ROW_NUMBER:
+        time, finding = _of_one_rate(first.capture, chosen, time, finding)
     findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
@@ -180,6 +185,29 @@ def _proposed(
     _add_unused(inside, chosen, hand, first.capture, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
+
+
+def _of_one_rate(
+    capture: Capture, chosen: Chosen, time: TimeSection, finding: Finding
+) -> tuple[TimeSection, Finding]:
+    """Times that count rows; to be given where the gripper's columns end long before or after the
+    markers', as those of groups with a rate each do.
+    """
+    if chosen.gripper is None:
+        return time, finding
+    seen = [
+        np.isfinite(capture.at(p.columns)).all(axis=1) for p in (chosen.gripper, *chosen.markers)
+    ]
+    hand, cable = (
+        int(np.flatnonzero(rows).max(initial=0)) for rows in (seen[0], np.any(seen[1:], axis=0))
+    )
+    if abs(hand - cable) <= _ENDS_APART * len(capture.values):
+        return time, finding
+    name = capture.path.name
+    sentence = f"the markers are seen in {cable + 1} rows of {name}, the gripper in {hand + 1}: if "
+    sentence += f"each has its own rate, give --hand {name} for its gripper, too; else give "
+    time = time.model_copy(update={"seconds_per_unit": None})
+    return time, Finding("time", f"{sentence}time.seconds_per_unit", Sure.MISSING)
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:

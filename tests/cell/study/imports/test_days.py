@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from cell.study.imports.days import over_midnight
 from cell.study.imports.read import read_capture
 
 from .corpus.swing import MARKERS, Swing
-from .made import check_same, imported, made, saved, text
+from .made import CABLE, check_same, filled, imported, made, run, saved, text
 from .test_layouts import _xlsx
 
 #: Half a second before midnight.
@@ -89,3 +89,59 @@ def test_only_a_step_of_half_a_day_back_is_to_the_next_day() -> None:
         np.testing.assert_array_equal(over_midnight(np.array(other)), other)
     twice = over_midnight(np.array([*late, *late]))  # a marker after the other
     np.testing.assert_array_equal(twice[:4], twice[4:])
+
+
+def _wincc(m: Swing, file: Path, clock: bool) -> Path:
+    """A line for each number; the last marker's x is not valid in the first rows.
+
+    source  Siemens WinCC, data log
+    """
+    rows: list[list[object]] = [["VarName", *(["TimeString"] if clock else []), "VarValue"]]
+    rows[0] += ["Validity", "Time_ms"]
+    for k, (moment, values) in enumerate(zip(_moments(m), _values(m), strict=True)):
+        days = (moment - datetime(1899, 12, 30)) / timedelta(days=1)
+        for name, value in zip(_NAMES, values, strict=True):
+            valid = not (name == _NAMES[-2] and k < 3)
+            row = [f"{value if valid else 0.0:.7f}", int(valid), f"{1e6 * days:.8f}"]
+            row = [name, *([f"{moment:%d.%m.%Y %H:%M:%S}"] if clock else []), *row]
+            rows.append([str(cell).replace(".", ",") if cell is not row[1] or not clock else cell
+                         for cell in row])  # fmt: skip
+    rows.append(["$RT_COUNT$", len(rows) - 1, *[""] * (len(rows[0]) - 2)])
+    return saved(file, text(rows, ";"))
+
+
+def test_days_that_a_coarser_clock_shows_are_the_times(tmp_path: Path) -> None:
+    m = made()
+    capture = read_capture(_wincc(m, tmp_path / "log.csv", clock=True))
+    assert capture.names == ("Time_ms", *_NAMES)
+    assert any("counts 0.0864 s since 1899-12-30" in note for note in capture.notes)
+    seconds = capture.column("Time_ms")
+    np.testing.assert_allclose(seconds - seconds[0], m.t_s, atol=5e-6)
+    assert seconds[0] == pytest.approx(_BEGINS.replace(tzinfo=UTC).timestamp(), abs=1e-5)
+    assert np.isnan(capture.column(_NAMES[-2])[:3]).all()
+    np.testing.assert_allclose(capture.values[3:, 1:], _values(m)[3:])
+
+
+def test_a_unit_of_time_by_which_no_gripper_moves_is_refused(tmp_path: Path) -> None:
+    file = _wincc(made(), tmp_path / "log.csv", clock=False)
+    said = run(file, "-o", tmp_path / "s", *CABLE, code=1)
+    assert "limit 1000 m/s²; correct time.seconds_per_unit" in said
+    filled(tmp_path / "s" / "import.yaml", {"time.seconds_per_unit": 0.0864})
+    run(tmp_path / "s" / "import.yaml")
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+@pytest.mark.parametrize("kind", ["duration", "timestamp"])
+def test_durations_and_moments_of_arrow_are_seconds(tmp_path: Path, kind: str, unit: str) -> None:
+    import pyarrow as arrow
+    from pyarrow.parquet import write_table
+
+    ticks = [1_000, 6_000, None] if unit != "ns" else [1_000_000_001, 6_000_000_000, None]
+    times = arrow.array(ticks, arrow.int64()).cast(getattr(arrow, kind)(unit))
+    table = arrow.table({"time": times, "tip_x": [1.0, 2.0, 3.0], "tip_y": [1.0, 2.0, 3.0]})
+    write_table(table, tmp_path / "run.parquet")
+    capture = read_capture(tmp_path / "run.parquet")
+    seconds = np.array([np.nan if k is None else k for k in ticks])
+    seconds *= {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    np.testing.assert_allclose(capture.column("time"), seconds, rtol=1e-15)
+    assert capture.columns[0].unit == ("s" if kind == "duration" else "")
