@@ -260,7 +260,7 @@ def _hdf5_values(store: Any, item: Any) -> NDArray[Any]:
 
 
 def _is_matlab_text(item: Any) -> bool:
-    return item.attrs.get("MATLAB_class") == b"char"
+    return bool(item.attrs.get("MATLAB_class") == b"char")
 
 
 def _matlab_text(item: Any) -> str:

@@ -19,8 +19,8 @@ _DAYS_TO_1970, _COARSE_S = 25_569, 1.0
 
 
 def with_dates(
-    table: Sequence[Row], columns: Sequence[CapturedColumn]
-) -> tuple[Sequence[Row], Sequence[CapturedColumn]]:
+    table: Sequence[Row], columns: tuple[CapturedColumn, ...]
+) -> tuple[Sequence[Row], tuple[CapturedColumn, ...]]:
     """The table with the dates of a column before the times of day of the column behind it."""
     for k in range(len(columns) - 1):
         if not _moment(*table[0].cells[k : k + 2]):
@@ -29,7 +29,7 @@ def with_dates(
         if all(moments):
             rows = [replace(row, cells=(*row.cells[:k], moment, *row.cells[k + 2 :]))
                     for row, moment in zip(table, moments, strict=True)]  # fmt: skip
-            return rows, [*columns[:k], *columns[k + 1 :]]
+            return rows, (*columns[:k], *columns[k + 1 :])
     return table, columns
 
 
@@ -76,4 +76,4 @@ def over_midnight(t_s: FloatArray) -> FloatArray:
     """(rows,) times of day, where a step back by more than half a day is to the next day."""
     steps = np.diff(t_s, prepend=t_s[:1])
     days = np.cumsum(np.where(np.abs(steps) > _DAY_S / 2, -np.sign(steps), 0.0))
-    return t_s + _DAY_S * np.maximum(days, 0.0)
+    return np.asarray(t_s + _DAY_S * np.maximum(days, 0.0))

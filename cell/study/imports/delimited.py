@@ -46,6 +46,7 @@ from cell.study.imports.text_rows import (
     bare,
     goes_on,
     is_like,
+    labelled_rows,
     split_lines,
     title_of,
     upright,
@@ -82,6 +83,10 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
         raise InputError.at(path, message, line=MAX_ROWS)
     if form is None and (capture := by_channels(path, text.splitlines())) is not None:
         return replace(capture, notes=(*notes, *capture.notes))
+    names, rows, row_notes = labelled_rows(path, text)
+    if form is None and names:
+        header = Header(tuple(CapturedColumn(name) for name in names), None, "")
+        return pivoted(*captured(path, header, rows, ".")).noted(*notes, *row_notes)
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
@@ -293,7 +298,7 @@ def captured(
     """
     table, columns = without_units(path, table, header.columns, decimal)
     table, columns = with_dates(table, columns)
-    header = replace(header, columns=tuple(columns))
+    header = replace(header, columns=columns)
     grouped = any(is_grouped(c.strip(), decimal) for row in table[:SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
     values, notes = _values(path, table, header, numeric, decimal, grouped)

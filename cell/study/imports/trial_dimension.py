@@ -36,10 +36,11 @@ def by_trials(
     split, split_units = Tree(), dict[tuple[str, ...], str]()
     for group in dict.fromkeys(key[:-1] for key in tree):
         arrays = {key[-1]: values for key, values in tree.items() if key[:-1] == group}
-        for label, number in _labels(arrays) or [(None, 0)]:
+        trials = _labels(arrays)
+        for label, number in trials or [("", 0)]:
             for name, values in arrays.items():
-                key = (*group, *(() if label is None else (label,)), name)
-                is_stacked = label is not None and _is_stacked(name, values, arrays)
+                key = (*group, *((label,) if trials else ()), name)
+                is_stacked = bool(trials) and _is_stacked(name, values, arrays)
                 split[key] = values[number] if is_stacked else values
                 split_units[key] = units.get((*group, name), "")
     return split, split_units

@@ -125,9 +125,7 @@ def _proposed(
     _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
-    time, finding = time_section(first.capture, inside, stated.rate_hz)
-    if inside.counts or time.column == ROW_NUMBER:
-        time, finding = _of_one_rate(first.capture, chosen, time, finding)
+    time, finding = _time(first.capture, inside, chosen, stated.rate_hz)
     findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
@@ -187,13 +185,14 @@ def _proposed(
     return Understanding(mapping, tuple(findings)), gain
 
 
-def _of_one_rate(
-    capture: Capture, chosen: Chosen, time: TimeSection, finding: Finding
+def _time(
+    capture: Capture, inside: Contents, chosen: Chosen, rate_hz: float | None
 ) -> tuple[TimeSection, Finding]:
-    """Times that count rows; to be given where the gripper's columns end long before or after the
-    markers', as those of groups with a rate each do.
+    """Times and their unit; if they count rows, to be given where the gripper's columns end long
+    before or after the markers', as those of groups with a rate each do.
     """
-    if chosen.gripper is None:
+    time, finding = time_section(capture, inside, rate_hz)
+    if chosen.gripper is None or not (inside.counts or time.column == ROW_NUMBER):
         return time, finding
     seen = [
         np.isfinite(capture.at(p.columns)).all(axis=1) for p in (chosen.gripper, *chosen.markers)
