@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 from cell.files.input_error import InputError
@@ -14,7 +15,7 @@ from cell.study.imports.contents import Contents, contents
 from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
-from cell.study.imports.long_tables import pivoted
+from cell.study.imports.long_tables import joined, pivoted, same_frames, time_column
 from cell.study.imports.text_content import is_text
 from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import Row, without_summary
@@ -72,7 +73,34 @@ def _sheets(path: Path) -> dict[str, Capture]:
     if not tables:
         message = "no sheet holds rows of numbers; give a line of names above them"
         raise InputError.at(path, message)
+    tables = _with_axes_joined(tables)
     return {title: replace(table, of_cable=of_cable) for title, table in tables.items()}
+
+
+def _with_axes_joined(tables: Mapping[str, Capture]) -> Mapping[str, Capture]:
+    """One table of sheets that are called x, y and perhaps z, with equal columns and times; columns
+    of the other sheets with these times are joined to it.  Else unchanged.
+    """
+    axes = [title for title in tables if title.lower() in ("x", "y", "z")]
+    alike = len({tables[title].names for title in axes}) == 1 < len(axes)
+    if not alike or not all(same_frames(tables[axes[0]], tables[title]) for title in axes):
+        return tables
+    others = [t for t in tables if t not in axes and same_frames(tables[axes[0]], tables[t])]
+    parts = [_titled(tables[title], title) for title in (*axes, *others)]
+    return {t: table for t, table in tables.items() if t not in (*axes, *others)} | {
+        axes[0]: reduce(joined, parts)
+    }
+
+
+def _titled(table: Capture, title: str) -> Capture:
+    """A table with its title behind the names of its columns, except that of times."""
+    time, columns = time_column(table), list(table.columns)
+    for i, column in enumerate(columns):
+        bare, unit = split_unit(column.name)
+        columns[i] = column if i == time else replace(
+            column, name=f"{bare} {title}", unit=column.unit or unit
+        )  # fmt: skip
+    return replace(table, columns=tuple(columns))
 
 
 def _texts(page: Sequence[Sequence[object]]) -> Iterator[list[str]]:

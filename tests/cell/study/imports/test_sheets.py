@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.study.imports.contents import contents
 from cell.study.imports.read import read_capture
 from cell.study.imports.trial_files import read_trials
 
@@ -70,3 +71,30 @@ def test_a_property_is_no_line_of_names_of_a_text(tmp_path: Path, above: str) ->
     rows: list[list[object]] = [list(head), list(_NAMES), *_rows(s, ",")]
     file = saved(tmp_path / "a.csv", text(rows, ";"))
     assert read_capture(file).names == tuple(_NAMES)
+
+
+@pytest.mark.parametrize("titles", [("X", "Y"), ("y", "x"), ("X", "Y", "Z")])
+def test_sheets_of_an_axis_each_are_one_table(tmp_path: Path, titles: tuple[str, ...]) -> None:
+    s = known_study()[0]
+    places = np.concatenate([s.gripper_m[:, None], s.markers_m], axis=1)
+    places = 1e3 * np.concatenate([places, np.zeros_like(places[..., :1])], axis=2)
+    points = ("Greifer", *MARKERS)
+    sheets: dict[str, list[list[object]]] = {"Notes": [["by", "Meier"]]}
+    for title in titles:
+        values = places[..., "xyz".index(title.lower())]
+        rows = np.column_stack([s.t_s, values]).tolist()
+        sheets[title] = [["t [s]", *(f"{p} [mm]" for p in points)], *rows]
+    angle = np.column_stack([s.t_s, np.degrees(s.angle_rad)]).tolist()
+    sheets["Angle"] = [["t [s]", "Greifer [deg]"], *angle]
+    sheets["Other"] = [["t [s]", "volt"], *([float(k), 1.0] for k in range(20))]
+    _xlsx(tmp_path / "a.xlsx", sheets)
+    capture = read_capture(tmp_path / "a.xlsx")
+    for k, p in enumerate(points):
+        for title in titles:
+            values = places[:, k, "xyz".index(title.lower())]
+            np.testing.assert_allclose(capture.column(f"{p} {title}"), values, atol=1e-12)
+    np.testing.assert_allclose(capture.column("Greifer Angle"), np.degrees(s.angle_rad))
+    assert len(capture.names) == 2 + len(points) * len(titles)
+    inside = contents(capture)
+    assert [len(p.columns) for p in inside.points] == [len(titles)] * len(points)
+    assert [n for n, _ in inside.angles] == ["Greifer Angle"]
