@@ -73,8 +73,8 @@ def _sheets(path: Path) -> dict[str, Capture]:
     if not tables:
         message = "no sheet holds rows of numbers; give a line of names above them"
         raise InputError.at(path, message)
-    tables = _with_axes_joined(tables)
-    return {title: replace(table, of_cable=of_cable) for title, table in tables.items()}
+    joint = _with_axes_joined(tables)
+    return {title: replace(table, of_cable=of_cable) for title, table in joint.items()}
 
 
 def _with_axes_joined(tables: Mapping[str, Capture]) -> Mapping[str, Capture]:
