@@ -26,6 +26,8 @@ NOTED_ACROSS, REFUSED_ACROSS = 0.02, 0.2
 #: The marker next to the gripper: least agreement of its path with the gripper's, largest ratio of
 #: their motions, least number of rows.
 MOVES_ALIKE, TIMES_FARTHER, FEWEST_ROWS = 0.8, 8.0, 20
+#: A hundred times gravity: no gripper's motion, but that of a wrong unit; fewer rows are a slip.
+MOST_M_PER_S2, FEWEST_STEPS = 1000.0, 5
 
 _LOG_LIMIT = f"{GAP_S:g} s or {GAP_STEPS:g} usual steps"
 
@@ -41,6 +43,28 @@ def too_long(e: TrialEvidence) -> Failure | None:
     t_s = e.trial.markers.t_s
     lasts_s = float(t_s[-1] - t_s[0])
     return None if lasts_s <= MAX_TRIAL_S else Failure({"lasts_s": lasts_s}, len(t_s) - 1)
+
+
+@refused(
+    "the gripper's way over the square of its time from a tenth of it to nine tenths, m/s²",
+    f"{MOST_M_PER_S2:g}, in {FEWEST_STEPS} rows or more",
+    "the gripper moves by {moved_mm:.3g} mm within {within_s:.2g} s, limit "
+    f"{MOST_M_PER_S2:g} m/s²;",
+    "correct time.seconds_per_unit of the mapping",
+)
+def too_fast(e: TrialEvidence) -> Failure | None:
+    """Can a gripper move so fast?"""
+    axis = int(np.argmax(np.ptp(e.poses[:, 1:3], axis=0)))
+    t_s, way_m = e.poses[:, 0], np.abs(e.poses[:, 1 + axis] - e.poses[0, 1 + axis])
+    moved_m = float(way_m.max())
+    end = int(np.argmax(way_m > 0.9 * moved_m))
+    begin = int(np.flatnonzero(way_m[: end + 1] <= 0.1 * moved_m)[-1])
+    within_s = float(t_s[end] - t_s[begin])
+    known = moved_m > e.slack_m and end - begin >= FEWEST_STEPS
+    if not known or moved_m < MOST_M_PER_S2 * within_s**2:
+        return None
+    row = min(int(np.searchsorted(e.trial.markers.t_s, t_s[end])), len(e.trial.markers.t_s) - 1)
+    return Failure({"moved_mm": moved_m * 1e3, "within_s": within_s}, row, "hand")
 
 
 @refused(
@@ -228,7 +252,7 @@ _AHEAD = "subtract {late_s:.2g} s from clock_offset_s of the trial, 0 if it has 
 _AHEAD += "was let go, give `start: held` with release_s: {cable_s:.3g}; if it swings already, "
 _AHEAD += "`start: moving`"
 #: All failures are reported.
-IMPORT_REFUSALS = (too_long, log_gap, log_ends, log_begins, same_marker, not_on_cable)
+IMPORT_REFUSALS = (too_long, too_fast, log_gap, log_ends, log_begins, same_marker, not_on_cable)
 #: Evaluated if none of these fails; only the first failure is reported.
 IMPORT_SHAPE = (
     hand_scale,

@@ -114,6 +114,11 @@ def is_clock(cell: str) -> bool:
     return any(form.fullmatch(text) for form in (_CLOCK, _ISO_DATETIME, _SHEET_DATETIME))
 
 
+def is_day_time(cell: str) -> bool:
+    """Whether a cell is a time of day without a date, by its form."""
+    return _CLOCK.fullmatch(cell.strip()) is not None
+
+
 def is_number(cell: str, decimal: Decimal) -> bool:
     """Whether a cell holds a number, not a word for a missing value."""
     value = number(cell, decimal)

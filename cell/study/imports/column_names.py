@@ -65,7 +65,7 @@ _ANGLE = frozenset(
 _OTHER = frozenset(
     ("velocity", "speed", "vel", "force", "torque", "moment", "residual",
      "residuals", "error", "likelihood", "confidence", "quality", "probability", "visible",
-     "valid", "status", "std", "cov", "temperature", "current", "voltage", "cameras")
+     "valid", "validity", "status", "std", "cov", "temperature", "current", "voltage", "cameras")
 )  # fmt: skip
 #: Of a force or moment.
 _WRENCH = re.compile(r"force|torque|moment|[fmt][xyz]?|kraft")
@@ -239,7 +239,7 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
 #: Last words of columns of detection confidence, and of those that are 1 where a point is visible;
 #: the thresholds below which it is not.
 _CONFIDENCE = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
-               "valid": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+               "valid": 0.5, "validity": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
 _VISIBILITY = dict.fromkeys(("v", "vis", "visibility"), 0.5)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -44,7 +43,8 @@ from cell.study.imports.sheets import (
 )
 from cell.study.imports.stated import OF_CABLE
 from cell.study.imports.streams import streams_tree
-from cell.study.imports.units import METRES, split_unit, unit_of
+from cell.study.imports.trial_dimension import by_trials, with_trials_first
+from cell.study.imports.units import METRES, SECONDS, split_unit, unit_of
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
@@ -81,7 +81,7 @@ def read_container(path: Path) -> Capture:
 def _tree(path: Path) -> tuple[Tree, Units]:
     if is_octave_text(path):  # which may be called .mat
         return flat(octave_variables(path)), {}
-    return _TREES.get(path.suffix.lower(), line_protocol_tree)(path)
+    return by_trials(*_TREES.get(path.suffix.lower(), line_protocol_tree)(path))
 
 
 def is_text_of_arrays(path: Path) -> bool:
@@ -161,22 +161,30 @@ def _mat(path: Path) -> tuple[Tree, Units]:
 def _arrow(form: str, path: Path) -> tuple[Tree, Units]:
     """Columns of a table of Arrow's; form: the module that reads it."""
     table, columns = import_module(f"pyarrow.{form}").read_table(path), Tree()
+    units: Units = {}
+    is_duration, is_date = (getattr(import_module("pyarrow.types"), f"is_{kind}")
+                            for kind in ("duration", "timestamp"))  # fmt: skip
     for name in table.column_names:
-        values = table.column(name).to_pylist()
+        column = table.column(name)
+        if is_duration(column.type) or is_date(column.type):
+            counts = column.cast("int64").to_numpy()  # nan where null
+            columns[(name,)] = counts * SECONDS[column.type.unit.replace("us", "µs")]
+            units |= {(name,): "s"} if is_duration(column.type) else {}
+            continue
+        values = column.to_pylist()
         if values and any(isinstance(v, list) for v in values):
             size = max(len(v) for v in values if isinstance(v, list))
             values = [v if isinstance(v, list) else [None] * size for v in values]
             columns[(name,)] = np.array(values, dtype=np.float64)
         else:
             columns[(name,)] = _series(values)
-    return columns, {}
+    return columns, units
 
 
 def _series(values: Sequence[object]) -> NDArray[Any]:
     """Numbers if all values are; else words."""
-    if all(v is None or isinstance(v, bool | int | float | datetime) for v in values):
-        seconds = [v.timestamp() if isinstance(v, datetime) else v for v in values]
-        return np.array(seconds, dtype=np.float64)
+    if all(v is None or isinstance(v, bool | int | float) for v in values):
+        return np.array(values, dtype=np.float64)
     return np.array([cell_text(v) for v in values], dtype=object)
 
 
@@ -218,20 +226,55 @@ def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
             tree.update({(*key, n): v for n, v in numbers.items() if v.dtype.kind in "fiu"})
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
-        values = item.asstr()[()] if h5py.check_string_dtype(item.dtype) else item[()]
-        values = np.asarray(values)
+        values = _hdf5_values(store, item)
         if values.dtype.names is not None:
             _check_names(path, values.dtype.names)
             tree.update({(*key, n): values[n] for n in values.dtype.names})
             return
-        tree[key] = values.T if reverse else values
+        tree[key] = values.T if reverse else with_trials_first(values, _dimensions(item))
         unit = next((item.attrs[k] for k in ("units", "unit") if k in item.attrs), "")
-        units[key] = unit_of(unit.decode() if isinstance(unit, bytes) else str(unit))
+        text = unit.decode() if isinstance(unit, bytes) else str(unit)
+        units[key] = unit_of(text.partition(" since ")[0])
 
     with h5py.File(path, "r") as store:
         collect("", store)
         store.visititems(collect)
     return tree, units
+
+
+def _hdf5_values(store: Any, item: Any) -> NDArray[Any]:
+    """Values of a dataset; MATLAB's texts, and its cells of texts, as words."""
+    import h5py
+
+    if h5py.check_string_dtype(item.dtype):
+        return np.asarray(item.asstr()[()])
+    if _is_matlab_text(item):
+        return np.array(_matlab_text(item), dtype=object)
+    values = np.asarray(item[()])
+    if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
+        return values
+    cells = [store[reference] for reference in values.ravel()]
+    if not cells or not all(map(_is_matlab_text, cells)):
+        return values
+    return np.array([_matlab_text(cell) for cell in cells], dtype=object)
+
+
+def _is_matlab_text(item: Any) -> bool:
+    return bool(item.attrs.get("MATLAB_class") == b"char")
+
+
+def _matlab_text(item: Any) -> str:
+    """Characters of a row, which are numbers; none where MATLAB stores the size of an empty text.
+
+    source  MATLAB, MAT-file version 7.3: attribute MATLAB_empty
+    """
+    empty = "MATLAB_empty" in item.attrs
+    return "" if empty else "".join(map(chr, np.asarray(item[()]).ravel()))
+
+
+def _dimensions(item: Any) -> list[str]:
+    """Names of a dataset's dimensions; empty = none is stated."""
+    return [dim[0].name.rpartition("/")[2] if len(dim) else "" for dim in item.dims]
 
 
 def _check_names(path: Path, names: Sequence[str]) -> None:
@@ -298,7 +341,8 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
             continue
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
-        for name, column in _columns(key, values, labels(key, values.shape, texts)):
+        shapes = [v.shape for k, v in numbers.items() if k[:-1] == key[:-1]]
+        for name, column in _columns(key, values, labels(key, values.shape, texts, shapes)):
             columns.append(CapturedColumn(name, units.get(key, "")))
             series.append(column)
     notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]

@@ -19,12 +19,14 @@ from cell.study.imports.capture import (
     Decimal,
     TextForm,
     is_clock,
+    is_day_time,
     is_grouped,
     is_number,
     number,
 )
 from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
+from cell.study.imports.days import over_midnight, with_dates, with_fine_times
 from cell.study.imports.header import Header, read_header, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
@@ -44,6 +46,7 @@ from cell.study.imports.text_rows import (
     bare,
     goes_on,
     is_like,
+    labelled_rows,
     split_lines,
     title_of,
     upright,
@@ -80,6 +83,10 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
         raise InputError.at(path, message, line=MAX_ROWS)
     if form is None and (capture := by_channels(path, text.splitlines())) is not None:
         return replace(capture, notes=(*notes, *capture.notes))
+    names, rows, row_notes = labelled_rows(path, text)
+    if form is None and names:
+        header = Header(tuple(CapturedColumn(name) for name in names), None, "")
+        return pivoted(*captured(path, header, rows, ".")).noted(*notes, *row_notes)
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
@@ -275,7 +282,8 @@ def _raw_table(
         capture = replace(capture, values=np.vstack([capture.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
     begins = "another table begins here; it is not read"
-    if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
+    more = [row for row in rows[last:] if not _is_remark(row, form.decimal)]
+    if not any(goes_on(row, table[0], form.decimal) for row in more):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
     return replace(capture, form=form).noted(*row_notes, *comment_notes, *notes), labels
@@ -289,6 +297,7 @@ def captured(
     raises  InputError: a cell of a numeric column is not a number
     """
     table, columns = without_units(path, table, header.columns, decimal)
+    table, columns = with_dates(table, columns)
     header = replace(header, columns=columns)
     grouped = any(is_grouped(c.strip(), decimal) for row in table[:SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
@@ -303,10 +312,15 @@ def captured(
         for c, column in enumerate(header.columns)
         if numeric[c]
     )
+    times = [c for c, is_one in enumerate(numeric) if is_one]
+    for k, c in enumerate(times):
+        if all(is_day_time(row.cells[c]) for row in table):
+            values[:, k] = over_midnight(values[:, k])
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
     capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time, order=header.order)
-    return capture, labels
+    clocks = [header.columns[c].name for c in times if is_clock(table[0].cells[c])]
+    return with_fine_times(capture, clocks), labels
 
 
 def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:
@@ -341,7 +355,11 @@ def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, 
             break
         else:
             raise _row_error(path, rows[i])
-    while last > first + 1 and not goes_on(rows[last - 1], rows[first], form.decimal):
+    labels = Counter(row.cells[0] for row in rows[first:last])
+    while last > first + 1 and (
+        not goes_on(rows[last - 1], rows[first], form.decimal)
+        or (_is_remark(rows[last - 1], form.decimal) and labels[rows[last - 1].cells[0]] == 1)
+    ):
         last -= 1
     return first, _check_width(path, rows, first, last, form)
 

@@ -70,12 +70,30 @@ def read_document(path: Path) -> StructuredDocument:
     elif ending in (".yml", ".yaml"):
         document = _document(_parse_yaml(path, text))
     elif ending == ".json":
-        document = _document(_parse_json(path, text, None))
+        document = _document(_upright(_parse_json(path, text, None)))
     else:
         document = _parse_xml(path, text)
     if len(document.records) > MAX_ROWS:
         raise InputError.at(path, f"has {len(document.records)} records, limit {MAX_ROWS}; cut it")
     return document
+
+
+def _upright(content: Any) -> Any:
+    """Records of columns that are mappings of rows' labels to values; other content unchanged.
+
+    source  pandas, `DataFrame.to_json` without an orient
+    """
+    columns = list(content.values()) if isinstance(content, Mapping) else []
+    if not columns or any(not isinstance(c, Mapping) or c.keys() != columns[0].keys()
+                          for c in columns):  # fmt: skip
+        return content
+    plain = not any(isinstance(v, Mapping | list) for c in columns for v in c.values())
+    if not plain or len(columns[0]) <= len(columns):
+        return content
+    rows = list(columns[0])
+    counted = rows == [str(k) for k in range(len(rows))]
+    return [({} if counted else {"index": row}) | {n: c[row] for n, c in content.items()}
+            for row in rows]  # fmt: skip
 
 
 def _document(content: Any) -> StructuredDocument:

@@ -286,7 +286,7 @@ def section_of_file(
     findings  extended by those about the gripper
     """
     capture, inside, point, file = hand.capture, hand.inside, hand.point, hand.capture.path.name
-    time, time_finding = time_section(capture, inside, None, lasts_s)
+    time, time_finding = time_section(capture, inside, None, lasts_s, "hand.time")
     of_file: dict[str, Any] = {"text": capture.form, "time": time}
     if point is None:
         findings.append(time_finding)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.study.imports.capture import CapturedColumn
-from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.column_names import ColumnKind, meaning, visibility
 from cell.study.imports.contents import HAND
 from cell.study.imports.units import unit_of
 
@@ -186,7 +186,9 @@ def _words(group: tuple[str, ...]) -> frozenset[str]:
 
 
 #: Names of arrays of text that name the points of another one.
-LABELS = re.compile(r"labels?|(node|marker|point|body|column)_?names?|names?|columns|keypoints")
+LABELS = re.compile(
+    r"labels?|(node|marker|point|body|column)_?names?|names?|markers?|points?|columns|keypoints"
+)
 _BRACKETED = re.compile(r"^(.*?)\s*[\[(]([^\[\]()]*)[\])]\s*$")
 _BETWEEN = re.compile(r"[\s,;]+")
 
@@ -194,8 +196,13 @@ _BETWEEN = re.compile(r"[\s,;]+")
 Words = Mapping[tuple[str, ...], Sequence[str]]
 
 
-def labels(key: tuple[str, ...], shape: Sequence[int], words: Words) -> Sequence[str] | None:
-    """Names of an array's points or columns, by texts in its group; None = there are none."""
+def labels(
+    key: tuple[str, ...], shape: Sequence[int], words: Words, others: Collection[Sequence[int]]
+) -> Sequence[str] | None:
+    """Names of an array's points or columns, by texts in its group; None = there are none.
+
+    others  shapes of the arrays of the group
+    """
     texts = {k[-1]: names for k, names in words.items() if k[:-1] == key[:-1]}
     if (described := _names_in_sentence(key[-1], shape, texts)) is not None:
         return described
@@ -204,9 +211,28 @@ def labels(key: tuple[str, ...], shape: Sequence[int], words: Words) -> Sequence
             continue
         if len(names) == 1 and len(shape) > 1 and (several := _names_in_text(names[0], shape[1])):
             return several
+        elsewhere = any(len(other) == 3 and len(names) in other for other in others)
+        if len(names) in shape and len(shape) == 2 and not _fits(key[-1], names, elsewhere):
+            continue
         if len(names) in shape or (len(names) == 1 and len(shape) > 1):
             return names
     return None
+
+
+def _fits(name: str, names: Sequence[str], elsewhere: bool) -> bool:
+    """Whether names are those of the columns of a matrix.
+
+    Names of points are, where the matrix has a coordinate of each, or tells whether it is seen; or
+    where no array of places is theirs, unless the columns are those of a quaternion.
+
+    elsewhere  whether an array of places has as many points
+    """
+    meanings = [meaning(CapturedColumn(n)) for n in names]
+    own = meaning(CapturedColumn(name))
+    of_columns = any(m.axis or m.kind is not ColumnKind.OTHER for m in meanings)
+    is_rotation = own.kind in (ColumnKind.QUATERNION, ColumnKind.ANGLE) and len(names) == 4
+    of_each = bool(own.axis) or visibility(CapturedColumn(f"{names[0]} {name}")) is not None
+    return of_columns or of_each or not (elsewhere or is_rotation)
 
 
 def _names_in_text(text: str, count: int) -> list[str] | None:

@@ -9,8 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import CapturedColumn, number
+from cell.study.imports.capture import CapturedColumn, is_number, number
 from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m, stated_time
+from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import REMARKS, split_line
 from cell.study.imports.units import METRES, unit_of
 
@@ -123,8 +124,10 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
     kinds: list[list[str]] = []
     unique = False
     for _, cells in reversed(rows[-8:]):
-        if not parts and width > 2 and sum(bool(c.strip()) for c in cells) == 1:
-            continue  # a word alone above the table is no line of names
+        filled = [c.strip() for c in cells if c.strip()]
+        is_value = len(filled) == 2 and any(is_number(filled[1], mark) for mark in DECIMALS)
+        if width > 2 and (is_value or (not parts and len(filled) == 1)):
+            continue  # a word alone above the table, or with its value, is no line of names
         padded = _padded(cells, width)
         if padded is None or (not parts and len(cells) < width):
             break

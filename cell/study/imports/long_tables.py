@@ -12,7 +12,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.imports.capture import Capture, CapturedColumn
-from cell.study.imports.column_names import ColumnKind, meaning
+from cell.study.imports.column_names import ColumnKind, meaning, visibility
 from cell.study.imports.contents import HAND, contents
 from cell.study.imports.row_trials import (
     rows_of,
@@ -33,7 +33,7 @@ _MARKER_WORDS = frozenset(
      "particle", "counter")
 )  # fmt: skip
 #: Names of the value column of a melted table, whose coordinates are named in a text column.
-_VALUES = frozenset(("value", "wert", "valeur", "valor"))
+_VALUES = frozenset(("value", "wert", "valeur", "valor", "varvalue"))
 #: Names of text columns that hold a coordinate's name, which comes last in a label; and maximum
 #: number of columns that identify the rows of one time.
 _COORDINATE_LABELS = frozenset(("field", "axis", "coord", "coordinate", "variable", "quantity"))
@@ -52,10 +52,10 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     raises  InputError: a marker has two rows at one time
     """
     capture = with_joined_times(capture)
+    capture, labels = _with_trial_words(capture, labels)
     time = time_column(capture)
     if time is None:
         return _without_text(capture, list(labels))
-    capture, labels = _with_trial_words(capture, labels)
     if (column := trial_column(capture)) is not None:
         return _trial_by_trial(capture, labels, column)
     t = capture.values[:, time]
@@ -77,11 +77,23 @@ def pivoted(capture: Capture, labels: Mapping[str, Sequence[str]]) -> Capture:
     values = [i for i, c in enumerate(capture.columns) if _is_value(c.name)]
     if any(meaning(c).kind is ColumnKind.COORDINATE for c in capture.columns):
         values = []  # the coordinates have columns of their own
+    if values:
+        capture = _without_invalid(capture, values[0])
     skipped = ids | {time} if not values else frozenset(range(len(capture.columns))) - {values[0]}
     keys.sort(key=lambda n: bool(_COORDINATE_LABELS & set(n.lower().split("_"))))
     prefix = [w[0] for w in labels.values() if len(set(w)) == 1 and w[0].lower() in HAND]
     words = [" ".join([*prefix, *p]) for p in zip(*(texts[n] for n in keys), strict=True)]
     return _wide(capture, time, words, skipped)
+
+
+def _without_invalid(capture: Capture, value: int) -> Capture:
+    """A melted table with nan for the values that a column says are not valid."""
+    result = capture.values.copy()
+    for index, column in enumerate(capture.columns):
+        shown = visibility(CapturedColumn(f"value {column.name}"))
+        if shown is not None:
+            result[capture.values[:, index] < shown[1], value] = np.nan
+    return replace(capture, values=result)
 
 
 def _with_trial_words(

@@ -19,7 +19,7 @@ _TRIAL = frozenset(
 )  # fmt: skip
 _NUMBER = frozenset(("id", "no", "nr", "num", "number", "index", "idx", "n"))
 #: Maximum number of trials of a file, and minimum number of rows of each.
-_MAX_TRIALS, _MIN_ROWS = 100, 10
+MAX_TRIALS, _MIN_ROWS = 100, 10
 
 
 #: A value of such a column, as in `only` of a trial's entry.
@@ -29,14 +29,19 @@ TrialLabel = float | str
 def trial_column(capture: Capture) -> str | None:
     """Column of words or integers that identifies trials; None = no such column, or one trial."""
     for name, values in zip(capture.names, capture.values.T, strict=True):
-        words = {w for w in re.split(r"[\W_]+", name.lower()) if w}
-        if not words & _TRIAL or words - _TRIAL - _NUMBER or not np.isfinite(values).all():
+        if not names_trials(name) or not np.isfinite(values).all():
             continue
         unique, counts = np.unique(values, return_counts=True)
         integral = np.array_equal(unique, np.round(unique))
-        if integral and 1 < len(unique) <= _MAX_TRIALS and counts.min() >= _MIN_ROWS:
+        if integral and 1 < len(unique) <= MAX_TRIALS and counts.min() >= _MIN_ROWS:
             return name
     return None
+
+
+def names_trials(name: str) -> bool:
+    """Whether a name is a word for a trial, alone or with a word for a number."""
+    words = {w for w in re.split(r"[\W_]+", name.lower()) if w}
+    return bool(words & _TRIAL) and not words - _TRIAL - _NUMBER
 
 
 def trial_labels(capture: Capture, column: str) -> list[TrialLabel]:

@@ -38,12 +38,17 @@ _EPOCH_S = 1000.0
 
 
 def time_section(
-    capture: Capture, inside: Contents, rate_hz: float | None, lasts_s: float | None = None
+    capture: Capture,
+    inside: Contents,
+    rate_hz: float | None,
+    lasts_s: float | None = None,
+    entry: str = "time",
 ) -> tuple[TimeSection, Finding]:
     """Column of time and its unit.
 
     rate_hz  rows a second that the user states; None = as the file states
     lasts_s  duration of another file of the same motion; None = there is none
+    entry    of the mapping; --rate states that of the markers' times
     """
     column = inside.time or ROW_NUMBER
     if rate_hz is not None and is_coarse(capture.column(column)):
@@ -66,8 +71,8 @@ def time_section(
     zero = counts or abs(first) > _EPOCH_S
     if unit is None:
         sentence = f"time counts in steps of {step:g} in column {column!r}: {why}; give "
-        sentence += "time.seconds_per_unit"
-        sentence += "" if rate_hz is not None else ", or --rate"
+        sentence += f"{entry}.seconds_per_unit"
+        sentence += ", or --rate" if rate_hz is None and entry == "time" else ""
     else:
         shown = f"{1.0 / (step * unit):.4g} rows a second" if step > 0.0 else "no steady rate"
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"

@@ -6,16 +6,18 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 from cell.files.input_error import InputError
-from cell.study.imports.capture import Capture, is_number, number
+from cell.study.imports.capture import Capture, is_clock, is_number, number
 from cell.study.imports.contents import Contents, contents
 from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
-from cell.study.imports.long_tables import pivoted
+from cell.study.imports.long_tables import joined, pivoted, same_frames, time_column
 from cell.study.imports.text_content import is_text
+from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import Row, without_summary
 from cell.study.imports.units import METRES, split_unit
 
@@ -58,7 +60,7 @@ def _sheets(path: Path) -> dict[str, Capture]:
     of_cable: tuple[tuple[str, float], ...] = ()
     pages = _tables_of_database if path.suffix.lower() in _DATABASES else _pages_of_workbook
     for title, page in pages(path):
-        rows = [Row(i, tuple(map(cell_text, cells))) for i, cells in enumerate(page, 1)]
+        rows = [Row(i, tuple(cells)) for i, cells in enumerate(_texts(list(page)), 1)]
         of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
         try:
             capture = _table_of(path, [row for row in rows if not row.blank])
@@ -71,7 +73,48 @@ def _sheets(path: Path) -> dict[str, Capture]:
     if not tables:
         message = "no sheet holds rows of numbers; give a line of names above them"
         raise InputError.at(path, message)
-    return {title: replace(table, of_cable=of_cable) for title, table in tables.items()}
+    joint = _with_axes_joined(tables)
+    return {title: replace(table, of_cable=of_cable) for title, table in joint.items()}
+
+
+def _with_axes_joined(tables: Mapping[str, Capture]) -> Mapping[str, Capture]:
+    """One table of sheets that are called x, y and perhaps z, with equal columns and times; columns
+    of the other sheets with these times are joined to it.  Else unchanged.
+    """
+    axes = [title for title in tables if title.lower() in ("x", "y", "z")]
+    alike = len({tables[title].names for title in axes}) == 1 < len(axes)
+    if not alike or not all(same_frames(tables[axes[0]], tables[title]) for title in axes):
+        return tables
+    others = [t for t in tables if t not in axes and same_frames(tables[axes[0]], tables[t])]
+    parts = [_titled(tables[title], title) for title in (*axes, *others)]
+    return {t: table for t, table in tables.items() if t not in (*axes, *others)} | {
+        axes[0]: reduce(joined, parts)
+    }
+
+
+def _titled(table: Capture, title: str) -> Capture:
+    """A table with its title behind the names of its columns, except that of times."""
+    time, columns = time_column(table), list(table.columns)
+    for i, column in enumerate(columns):
+        bare, unit = split_unit(column.name)
+        columns[i] = column if i == time else replace(
+            column, name=f"{bare} {title}", unit=column.unit or unit
+        )  # fmt: skip
+    return replace(table, columns=tuple(columns))
+
+
+def _texts(page: Sequence[Sequence[object]]) -> Iterator[list[str]]:
+    """Cells of each row as text; numbers that are texts have one decimal mark, as in a CSV."""
+    texts = [c for cells in page[:_MAX_HEADER] for c in cells if isinstance(c, str)]
+    point, comma = (sum(is_number(text, mark) for text in texts) for mark in DECIMALS)
+    for cells in page:
+        yield [_with_point(c) if comma > point else c for c in map(cell_text, cells)]
+
+
+def _with_point(cell: str) -> str:
+    """A cell with a point for the decimal comma of a number."""
+    is_one = "," in cell and is_number(cell, ",") and not is_clock(cell)
+    return repr(number(cell, ",")) if is_one else cell
 
 
 def _pages_of_workbook(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
@@ -129,12 +172,14 @@ def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:
     tables = (i for i, count in enumerate(numbers) if count >= 2 and rows[i].is_data("."))
     if (first := next(tables, None)) is None:
         return None
-    width = max(i for i, cell in enumerate(rows[first].cells, 1) if cell)
+    filled = [i for i, cell in enumerate(rows[first].cells) if cell]
+    begin, end = filled[0], filled[-1] + 1
     for row in rows[:first]:
-        named = [i for i, cell in enumerate(row.cells, 1) if cell]
-        width = max(width, len(named) if len(named) > 2 else 0)
-    above = [(row.line, row.cells[:width]) for row in rows[:first]]
-    table = [Row(row.line, row.cells[:width]) for row in rows[first:]]
+        named = [i for i, cell in enumerate(row.cells) if cell]
+        if len(named) > 2:
+            begin, end = min(begin, named[0]), max(end, named[-1] + 1)
+    above = [(row.line, row.cells[begin:end]) for row in rows[:first]]
+    table = [Row(row.line, row.cells[begin:end]) for row in rows[first:]]
     table, below = without_summary(path, table, ".")
     header = read_header(path, above, table[0].cells)
     capture, labels = captured(path, header, table, ".")

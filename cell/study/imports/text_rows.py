@@ -22,6 +22,10 @@ _MIN_ROWS = 3
 WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\W\d_]+|°)")
 #: Time of reception, which a serial monitor writes before a line.
 _RECEIVED = re.compile(r"^\[?\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\]? ?(?:->|>|\t) ?")
+#: A name and its value.
+_LABELLED = re.compile(
+    r"([^\W\d][\w.]*)\s?[:=]\s?([-+]?(?:\d[\d.]*(?:[eE][-+]?\d+)?|nan))(?![^\s,;])"
+)
 #: Minimum fraction of a text's lines that begin so.
 _MIN_RECEIVED = 0.9
 #: Minimum ratio of columns to rows of a table whose rows are series.
@@ -103,6 +107,24 @@ def without_reception(path: Path, text: str) -> tuple[str, list[str]]:
         return text, []
     note = f"{path}: the time at which a line was received stands before it; it is not read"
     return "\n".join(_RECEIVED.sub("", line) for line in lines), [note]
+
+
+def labelled_rows(path: Path, text: str) -> tuple[list[str], list[Row], list[str]]:
+    """Names, rows and a note of lines of names with values; no names where it has other lines.
+
+    source  Arduino, serial plotter: `t_us:3600 tip_x_mm:4.5`, between blanks, commas or tabs
+    """
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    each = {i: dict(_LABELLED.findall(line)) for i, line in lines
+            if not _LABELLED.sub("", line).strip(" ,;\t")}  # fmt: skip
+    if len(each) < max(_MIN_ROWS, _MIN_RECEIVED * len(lines)):
+        return [], [], []
+    names = list(dict.fromkeys(name for values in each.values() for name in values))
+    rows = [Row(i, tuple(values.get(name, "") for name in names)) for i, values in each.items()]
+    others = [i for i, _ in lines if i not in each]
+    first = others[0] if others else 0
+    note = f"{path}:{first}: {len(others)} lines are no names with values; they are not read"
+    return names, rows, [note] if others else []
 
 
 def upright(path: Path, rows: Sequence[Row], decimal: Decimal) -> tuple[list[Row], list[str]]:

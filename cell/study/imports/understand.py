@@ -11,7 +11,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
-from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
+from cell.study.imports.capture import ROW_NUMBER, Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
@@ -32,6 +32,7 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
+    TimeSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -58,8 +59,11 @@ from cell.study.imports.units import METRES
 _DOWN = 0.5
 #: Maximum distance of a marker at the gripping point, as a fraction of the cable's length.
 _AT_GRIPPER = 0.005
-#: Minimum share in the plane of the line between two points that show the clamp angle.
+#: Minimum share in the plane of the line between two points that show the clamp angle, and maximum
+#: ratio of its noise to its length.
 _ACROSS = 0.2
+#: Rows between the ends of columns of one rate, as a share of all rows.
+_ENDS_APART = 0.1
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
 #: Maximum number of scales tried, as the root depends on them; tolerance of the last, and of a unit
@@ -121,7 +125,7 @@ def _proposed(
     _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
-    time, finding = time_section(first.capture, inside, stated.rate_hz)
+    time, finding = _time(first.capture, inside, chosen, stated.rate_hz)
     findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
@@ -179,6 +183,30 @@ def _proposed(
     _add_unused(inside, chosen, hand, first.capture, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
+
+
+def _time(
+    capture: Capture, inside: Contents, chosen: Chosen, rate_hz: float | None
+) -> tuple[TimeSection, Finding]:
+    """Times and their unit; if they count rows, to be given where the gripper's columns end long
+    before or after the markers', as those of groups with a rate each do.
+    """
+    time, finding = time_section(capture, inside, rate_hz)
+    if chosen.gripper is None or not (inside.counts or time.column == ROW_NUMBER):
+        return time, finding
+    seen = [
+        np.isfinite(capture.at(p.columns)).all(axis=1) for p in (chosen.gripper, *chosen.markers)
+    ]
+    hand, cable = (
+        int(np.flatnonzero(rows).max(initial=0)) for rows in (seen[0], np.any(seen[1:], axis=0))
+    )
+    if abs(hand - cable) <= _ENDS_APART * len(capture.values):
+        return time, finding
+    name = capture.path.name
+    sentence = f"the markers are seen in {cable + 1} rows of {name}, the gripper in {hand + 1}: if "
+    sentence += f"each has its own rate, give --hand {name} for its gripper, too; else give "
+    time = time.model_copy(update={"seconds_per_unit": None})
+    return time, Finding("time", f"{sentence}time.seconds_per_unit", Sure.MISSING)
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
@@ -313,13 +341,26 @@ def _gripper(
     inside = replace(inside, angles=inside.angles + angles)
     second = None
     if chosen.second is not None:
-        rest = shape_at_rest(detected_points(capture, (hand, chosen.second), chosen))
-        line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
-        if np.linalg.norm(line) > _ACROSS * np.linalg.norm(rest[1] - rest[0]):
+        line = _line(detected_points(capture, (hand, chosen.second), chosen), axes)
+        if line is not None:
             second = chosen.second, angle_of(line)
     root = replace(root, angle_rad=root_in_rows(scene))
     angle = clamp_angle(capture, inside, axes, root, findings, hand.name, second)
     return GripperSection(columns=list(hand.columns), angle=angle)
+
+
+def _line(both: FloatArray, axes: AxesSection) -> FloatArray | None:
+    """(2,) line in the plane between two points at rest; None = too short, or for its noise.
+
+    both  (rows, 2, d) positions of points of one body: the distance varies by their noise
+    """
+    rest = shape_at_rest(both)
+    line = np.array([axes.right, axes.up]) @ (rest[1] - rest[0])
+    distance = np.linalg.norm(both[:, 1] - both[:, 0], axis=1)
+    distance = distance[np.isfinite(distance)]
+    noise = np.median(np.abs(distance - np.median(distance))) if len(distance) else np.inf
+    least = max(_ACROSS * np.linalg.norm(rest[1] - rest[0]), noise / _ACROSS)
+    return line if np.linalg.norm(line) > least else None
 
 
 def _nearest(

@@ -279,3 +279,21 @@ def test_a_point_that_is_rarely_seen_is_left_out() -> None:
     chosen = choose(capture, contents(capture), True, findings)
     assert {p.name for p in chosen.markers} == {"m0", "m1", "m2"}
     assert any("'m3' is seen in 3 of 40 rows" in f.sentence for f in findings)
+
+
+@pytest.mark.parametrize("index", ["ms since 1970", "rows"])
+def test_columns_as_mappings_of_rows_are_upright(tmp_path: Path, index: str) -> None:
+    """As pandas writes a table if it is told nothing else."""
+    m = made()
+    columns = {"grip_x": 1e3 * m.gripper_m[:, 0], "grip_y": 1e3 * m.gripper_m[:, 1]}
+    if index == "rows":
+        columns = {"time": m.t_s, **columns}
+    labels = [str(k if index == "rows" else 1796119200100 + 5 * k) for k in range(len(m.t_s))]
+    content = {n: dict(zip(labels, v.tolist(), strict=True)) for n, v in columns.items()}
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    capture = read_capture(tmp_path / "run.json")
+    assert capture.names == (*(["index"] if index != "rows" else []), *columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(capture.column(name), values)
+    if index != "rows":
+        assert capture.column("index")[1] == 1796119200105

@@ -13,7 +13,10 @@ from typer.testing import CliRunner
 from cell.cli import app
 from cell.study.folder import read_study
 from cell.study.imports.mapping import read_mapping
+from cell.study.imports.read import read_capture
 from cell.study.imports.scales import metres_per_unit
+from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
+from tests.cell.study.imports.corpus.text import saved
 from tests.cell.study.imports.made import (
     CABLE,
     FORMS,
@@ -120,3 +123,30 @@ def test_one_marker_on_rows_of_its_own_does_not_turn_the_clamp(tmp_path: Path) -
     assert "a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}" in said
     mapping = read_mapping(tmp_path / "study" / "import.yaml").mapping
     assert mapping.hand.angle.offset_rad == 0.0
+
+
+@pytest.mark.parametrize("stamp", ["", "10:23:44.101 -> "], ids=["bare", "with times of reception"])
+@pytest.mark.parametrize("colon, between", [(":", " "), (": ", ", "), ("=", "\t")])
+def test_lines_of_names_with_values_are_rows(
+    tmp_path: Path, stamp: str, colon: str, between: str
+) -> None:
+    """As a serial monitor shows what a plotter reads; the first lines are words."""
+    m = made()
+    values = np.column_stack([
+        1e6 * m.t_s, 1e3 * m.gripper_m, np.degrees(m.angle_rad),
+        1e3 * m.markers_m.reshape(len(m.t_s), -1),
+    ])  # fmt: skip
+    names = ["t_us", "grip_x_mm", "grip_y_mm", "grip_deg"]
+    names += [f"{n}_{a}_mm" for n in NAMES for a in "xy"]
+    lines = ["Cable logger v1.3, build Nov 29", "calibrating... ok"]
+    for row in values:
+        cells = (f"{n}{colon}{v:.7f}" for n, v in zip(names, row, strict=True))
+        lines.append(between.join(cells))
+    lines[5] = between.join(lines[5].split(between)[:-2])  # the last marker is not seen
+    file = saved(tmp_path / "putty.log", "\n".join(stamp + line for line in lines))
+    capture = read_capture(file)
+    assert capture.names == tuple(names) and capture.lines[0] == 3
+    assert any("putty.log:1: 2 lines are no names with values" in n for n in capture.notes)
+    assert np.isnan(capture.values[3, -2:]).all()
+    values[3, -2:] = np.nan
+    np.testing.assert_allclose(capture.values, values, atol=1e-6)

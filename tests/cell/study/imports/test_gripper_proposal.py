@@ -16,7 +16,16 @@ from cell.study.folder import read_study
 from tests.cell.study.imports.corpus.swing import BEGINS_S, ENDS_S, RATE_HZ, Swing, stroke, swing
 from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
 from tests.cell.study.imports.corpus.text import saved
-from tests.cell.study.imports.made import CABLE, NOISE_M, digits, filled, run, text
+from tests.cell.study.imports.made import (
+    CABLE,
+    NOISE_M,
+    check_same,
+    digits,
+    filled,
+    made,
+    run,
+    text,
+)
 
 AXLE_M, RADIUS_M, COUNTS = (0.05, 0.1), 0.12, 65536
 MOVED_S = ENDS_S - BEGINS_S
@@ -312,3 +321,27 @@ def test_of_two_lengths_none_is_chosen(tmp_path: Path) -> None:
     log = saved(tmp_path / "s.csv", text([["t [s]", "left [m]", "top [m]"], *digits(rows, 6)]))
     said = run(file, "--hand", log, "-o", tmp_path / "s", *CABLE, code=1)
     assert "no place of the gripper is known in s.csv: name two columns of it" in said
+
+
+def test_groups_of_columns_with_a_rate_each_are_asked_for_with_a_remedy_that_works(
+    tmp_path: Path,
+) -> None:
+    """Markers at 200 Hz and a gripper at 500 Hz in one table, as npTDMS writes them."""
+    m = made()
+    hand_s = np.arange(round(2.5 * len(m.t_s))) / 500.0
+    hand = np.column_stack([1e3 * m.gripper_m, np.degrees(m.angle_rad)])
+    rows: list[list[object]] = [["", *(f"{n}_{a}_mm" for n in NAMES for a in "xy")]]
+    rows[0] += ["robot_x_mm", "robot_y_mm", "robot_pitch_deg"]
+    markers = digits(1e3 * m.markers_m.reshape(len(m.t_s), -1), 7)
+    blank = [""] * len(markers[0])
+    path = [np.interp(hand_s, m.t_s, column) for column in hand.T]
+    for k, row in enumerate(digits(np.column_stack(path), 7)):
+        rows.append([k, *(markers[k] if k < len(markers) else blank), *row])
+    file, rate = saved(tmp_path / "run.csv", text(rows)), ("--rate", "200")
+    said = run(file, "-o", tmp_path / "s", *CABLE, *rate, code=1)
+    assert "if each has its own rate, give --hand run.csv for its gripper, too" in said
+    said = run(file, "--hand", file, "-o", tmp_path / "t", *CABLE, *rate, code=1)
+    assert "give hand.time.seconds_per_unit" in said and "or --rate" not in said
+    filled(tmp_path / "t" / "import.yaml", {"hand.time.seconds_per_unit": 0.002})
+    run(tmp_path / "t" / "import.yaml")
+    check_same(read_study(tmp_path / "t"), m, place_m=2e-4, angle_rad=2e-3)

@@ -22,19 +22,31 @@ def _hand(s: Swing) -> np.ndarray:
     return np.column_stack([1e3 * s.gripper_m, np.degrees(s.angle_rad)])
 
 
-@pytest.mark.parametrize("later_s", [0.0, _LATER_S], ids=["restarts", "goes on"])
-def test_a_column_tells_trials_of_a_wide_table_apart(tmp_path: Path, later_s: float) -> None:
+#: Of Stata's clock, which counts ms, under a name that tells no time.
+_STATA_MS = 2.1e12
+
+
+@pytest.mark.parametrize("labels", [(1, 2), ("one", "two")], ids=["numbers", "words"])
+@pytest.mark.parametrize(
+    "time, later_s", [("time_s", 0.0), ("time_s", _LATER_S), ("tc", _LATER_S)],
+    ids=["restarts", "goes on", "is known by its size"],
+)  # fmt: skip
+def test_a_column_tells_trials_of_a_wide_table_apart(
+    tmp_path: Path, time: str, later_s: float, labels: tuple[object, object]
+) -> None:
     rows = []
-    for number, s in enumerate(known_study(), 1):
+    for number, s in enumerate(known_study()):
         values = np.column_stack([_hand(s), 1e3 * s.markers_m.reshape(len(s.t_s), -1)])
-        for t, row in zip(s.t_s + later_s * (number - 1), digits(values, 7), strict=True):
-            rows.append([number, f"{t:.6f}", *row])
+        for t, row in zip(s.t_s + later_s * number, digits(values, 7), strict=True):
+            clock = f"{t:.6f}" if time == "time_s" else f"{_STATA_MS + 1e3 * t:.0f}"
+            rows.append([labels[number], clock, *row])
     names = ["grip_x_mm", "grip_y_mm", "grip_angle_deg"]
     names += [f"{n}_{a}_mm" for n in NAMES for a in "xy"]
-    file = saved(tmp_path / "all.csv", text([["trial", "time_s", *names], *rows]))
+    file = saved(tmp_path / "all.csv", text([["trial", time, *names], *rows]))
     study = imported([str(file)], tmp_path / "s")
     check_same(study, *known_study())
-    assert [t.name for t in study.trials] == ["all_trial1", "all_trial2"]
+    called = ["trial1", "trial2"] if labels == (1, 2) else labels
+    assert [t.name for t in study.trials] == [f"all_{name}" for name in called]
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.03])
@@ -66,7 +78,7 @@ def test_a_long_table_in_any_order_with_a_gripper_of_as_many_runs(
 
 
 def test_rows_that_no_file_has_are_refused(tmp_path: Path) -> None:
-    test_a_column_tells_trials_of_a_wide_table_apart(tmp_path, 0.0)
+    test_a_column_tells_trials_of_a_wide_table_apart(tmp_path, "time_s", 0.0, (1, 2))
     mapping = tmp_path / "s" / "import.yaml"
     mapping.write_text(mapping.read_text().replace("trial: 2", "trial: 3"))
     out = tmp_path / "other"
