@@ -176,10 +176,10 @@ def moving(
     exact = [p for p in cable if reach_of(raw[p.name]) <= STAYS * largest]
     resting = [p for p in cable if p in exact or (not named and _rests(raw[p.name], largest))]
     loose = [p for p in cable if p not in resting]
-    holding = [p for p in exact or resting if _holds(p, loose, raw)]
-    clamp = holding[0] if len(holding) == 1 and not named and not elsewhere else None
-    if clamp is None and len(holding) > 1:  # perhaps the cable's first markers
-        resting = exact
+    holding = [p for p in resting if _holds(p, loose, raw)]  # or a first marker, which hardly moves
+    resting = [p for p in resting if p in exact or p not in holding]
+    clamps = [p for p in exact if p in holding]
+    clamp = clamps[0] if len(clamps) == 1 and not named and not elsewhere else None
     strangers = [p for p in resting if p is not clamp]
     _left_out(strangers, "never moves: it is not on the cable", findings)
     return [p for p in cable if p not in resting], clamp
@@ -190,7 +190,8 @@ def _rests(places: FloatArray, largest: float) -> bool:
     reach = reach_of(places, _CUT)
     if reach <= STAYS * largest:
         return True
-    return bool(reach < _AT_REST * largest and reach < OF_NOISE * noise_m(places))
+    noise = float(np.linalg.norm([noise_m(values) for values in places.T]))
+    return reach < min(_AT_REST * largest, OF_NOISE * noise)
 
 
 def _holds(point: Point, cable: Sequence[Point], raw: Places) -> bool:
@@ -223,12 +224,13 @@ def of_one_cable(
     longest = np.inf
     if free_length_m is not None and len(units) == 1:
         longest = (1.0 + _LONGER) * free_length_m / units.pop()
+    reach = [reach_of(raw[p.name], _CUT) for p in points]
     near, coherent = (np.ones((len(points), len(points)), bool) for _ in range(2))
     for (i, p), (k, q) in combinations(enumerate(points), 2):
         distance = np.linalg.norm(raw[p.name] - raw[q.name], axis=1)
         if not np.isfinite(distance).any():
             continue
-        motion = max(reach_of(raw[r.name], _CUT) for r in (p, q))
+        motion = min(max(reach[i], reach[k]), float(np.nanmedian(reach)))
         change = distance_range(raw[p.name], raw[q.name])
         near[i, k] = near[k, i] = np.nanmedian(distance) < longest
         coherent[i, k] = coherent[k, i] = change < _NEIGHBOURS * motion

@@ -10,7 +10,7 @@ import pytest
 from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings
 from cell.study.imports.choosing import choose
 from cell.study.imports.contents import contents
-from cell.study.imports.delimited import read_delimited
+from cell.study.imports.read import read_capture
 from tests.cell.study.imports.corpus.swing import Swing
 from tests.cell.study.imports.made import CABLE, NOISE_M, made, run
 
@@ -68,7 +68,7 @@ def test_points_that_rest_while_the_gripper_moves_are_left_out(
 @pytest.mark.parametrize(
     ("unit", "place", "size", "why"),
     [
-        ("m", (0.9, 0.3), 0.03, "farther from the others than the cable is long"),
+        ("m", (0.9, 0.3), 0.03, "is farther from the others than the cable is long"),
         ("", (0.05, 0.08), 0.05, "keeps no distance to another point"),
     ],
 )
@@ -136,7 +136,7 @@ def tema(folder: Path, later_ms: float, gap: bool = False) -> Path:
 @pytest.mark.parametrize("gap", [False, True])
 def test_repeated_times_that_agree_are_one_column(tmp_path: Path, gap: bool) -> None:
     """They were refused: names must differ."""
-    assert read_delimited(tema(tmp_path, 0.0, gap)).names.count("Time (ms)") == 1
+    assert read_capture(tema(tmp_path, 0.0, gap)).names.count("Time (ms)") == 1
 
 
 def test_repeated_times_that_differ_are_refused(tmp_path: Path) -> None:
