@@ -228,7 +228,7 @@ def of_one_cable(
     near, coherent = (np.ones((len(points), len(points)), bool) for _ in range(2))
     for (i, p), (k, q) in combinations(enumerate(points), 2):
         distance = np.linalg.norm(raw[p.name] - raw[q.name], axis=1)
-        if not np.isfinite(distance).any():
+        if np.isfinite(distance).sum() <= _FEWEST_LATE:
             continue
         motion = min(max(reach[i], reach[k]), float(np.nanmedian(reach)))
         change = distance_range(raw[p.name], raw[q.name])
@@ -282,9 +282,9 @@ def swing_share(end: FloatArray, tip: FloatArray) -> float:
     """
     end, tip = _late(end), _late(tip)
     both = np.isfinite(end + tip).all(axis=1)
-    own, of_tip = (p[both] - p[both].mean(axis=0) for p in (end, tip))
-    if len(own) <= _FEWEST_LATE:
+    if np.count_nonzero(both) <= _FEWEST_LATE:
         return 0.0
+    own, of_tip = (p[both] - p[both].mean(axis=0) for p in (end, tip))
     by_tip, *_ = np.linalg.lstsq(of_tip, own, rcond=1e-6)
     moved = of_tip @ by_tip
     residual = float(np.mean((own - moved) ** 2))
