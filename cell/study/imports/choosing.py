@@ -9,6 +9,18 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import did_you_mean
+from cell.study.imports.cable_points import (
+    at_rest,
+    detected_often,
+    distance_range,
+    from_end,
+    labeled,
+    moving,
+    of_one_cable,
+    on_the_gripper,
+    swing_share,
+    without_corners,
+)
 from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.contents import Contents, Point
 from cell.study.imports.shape import (
@@ -17,26 +29,14 @@ from cell.study.imports.shape import (
     means_lost,
     middle,
     reach_of,
-    rest_rows,
 )
 from cell.study.imports.units import METRES
 from cell.study.tracks import identical
 
-#: A point is stationary if it moves by less than this share of the largest motion.
-STAYS = 1e-3
-#: … and it is on a moving gripper if it moves by more than this share.
+#: A point is on a moving gripper if it moves by more than this share of the largest motion.
 MOVES = 0.1
-#: A point detected in less than this share of the median count of rows is a false detection.
-_RARE = 0.15
 #: Values that programs write into all coordinates of a point that was not detected.
 LOST = (0.0, -9999.0, 9999.0, -999.0, 999.0, -1.0)
-#: First words of the names that programs give to unlabelled points.
-_UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
-#: Final share of the record, in which the gripper rests and the cable still swings.
-_FINAL_SHARE = 0.3
-#: A chain's end swings if its motion with the tip exceeds this share of the tip's and this multiple
-#: of its standard error, in more than so many rows.
-_SWINGS, _SIGNIFICANT, _FEWEST_LATE = 0.01, 5.0, 20
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,15 @@ def choose(
     _check_distinct(capture, points, raw)
     for value in lost:
         findings.shown("lost", f"{value:g} in all coordinates means that a marker was not seen")
+    points = without_corners(points, raw, findings)
     named = [p for p in points if p.on_gripper]
     cable = [p for p in points if not p.on_gripper]
     if not cable and len(named) > 1:  # a cable all of whose points are called after the gripper
         named, cable = named[:1], named[1:]
-    cable, fixed = _moving(_labeled(cable, findings), raw, findings)
+    cable = detected_often(labeled(cable, findings), raw, findings)
+    cable, fixed = moving(named, cable, raw, hand_elsewhere, findings)
+    named, cable = on_the_gripper(named, cable, raw, findings)
+    cable = of_one_cable(named, cable, raw, free_length_m, findings)
     if not cable:
         raise capture.error(
             0, "shows no point that moves besides the gripper; give the cable's markers"
@@ -111,7 +115,7 @@ def choose(
     else:
         first = hand or clamp
         assert first is not None
-        order = [cable[i - 1] for i in chain(_at_rest([first, *cable], raw), 0)[1:]]
+        order = [cable[i - 1] for i in chain(at_rest([first, *cable], raw), 0)[1:]]
     names = " → ".join(p.name for p in order)
     findings.shown(
         "markers",
@@ -138,7 +142,7 @@ def _of_chain(
         sentence += f" is the gripping point, for {second.name!r} moves with it as one body, "
         sentence += "and from it to the tip the markers span the free length"
         findings.guessed("hand", sentence)
-    elif share := _swing_share(raw[hand.name], raw[cable[-1].name]):
+    elif share := swing_share(raw[hand.name], raw[cable[-1].name]):
         sentence += f", the end of the chain that moves least, swings by {share:.1%} of the "
         sentence += "tip's motion at the end of the record: it is a point of the cable. Name "
         sentence += "the gripping point's columns gripper_x and gripper_y, or give its file "
@@ -194,16 +198,6 @@ def _check_not_single(capture: Capture, cable: Sequence[Point], others: Sequence
         message += ", or, if each file shows a marker of one motion, write the columns of all "
         message += "into one file, such as m1_x, m1_y, m2_x"
     raise capture.error(0, f"{message}. Columns: {', '.join(capture.names[:12])}")
-
-
-def _labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
-    """Labelled points; all points if none is labelled."""
-    named = [p for p in cable if p.name.split()[0] not in _UNLABELED]
-    for p in cable if named else ():
-        if p not in named:
-            sentence = f"{p.name!r} is no marker of the cable by its name: it is left out"
-            findings.shown("markers", sentence)
-    return named or list(cable)
 
 
 def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
@@ -262,26 +256,6 @@ def _missing_codes(captures: Sequence[Capture], points: Sequence[Point]) -> tupl
     return tuple(value for value in LOST if any(means_lost(value, raw) for raw in places))
 
 
-def _moving(
-    cable: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
-) -> tuple[list[Point], Point | None]:
-    """Moving points, and the stationary one if there is exactly one: it may be the clamp."""
-    counts = {p.name: int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in cable}
-    median_count = float(np.median(list(counts.values()))) if cable else 0.0
-    for p in cable:
-        if 0 < counts[p.name] < _RARE * median_count:
-            sentence = f"{p.name!r} is seen in {counts[p.name]} of {len(raw[p.name])} rows, other "
-            findings.guessed("markers", f"{sentence}points in {median_count:g}: it is left out")
-    cable = [p for p in cable if not 0 < counts[p.name] < _RARE * median_count]
-    reach = {p.name: reach_of(raw[p.name]) for p in cable}
-    largest = max(reach.values(), default=0.0)
-    fixed = [p for p in cable if reach[p.name] <= STAYS * largest or not np.isfinite(reach[p.name])]
-    clamp = fixed[0] if len(fixed) == 1 and np.isfinite(reach[fixed[0].name]) else None
-    for p in fixed if clamp is None else ():
-        findings.shown("markers", f"{p.name!r} never moves or is never seen: it is left out")
-    return [p for p in cable if p not in fixed], clamp
-
-
 def _gripper_points(
     named: Sequence[Point],
     cable: Sequence[Point],
@@ -305,51 +279,12 @@ def _gripper_points(
     return hand, others[0] if others and not with_angle else None
 
 
-def from_end(cable: Sequence[Point], raw: dict[str, FloatArray]) -> list[Point]:
-    """Points in their order along the cable at rest, from the end that comes to rest first: the
-    gripper's."""
-    places = _at_rest(cable, raw)
-    orders = [chain(places, start) for start in range(len(cable))]
-    order = min(
-        orders, key=lambda o: float(np.linalg.norm(np.diff(places[o], axis=0), axis=1).sum())
-    )
-    late = slice(int((1.0 - _FINAL_SHARE) * len(raw[cable[0].name])), None)
-    first, last = (reach_of(raw[cable[i].name][late]) for i in (order[0], order[-1]))
-    return [cable[i] for i in (order if not first > last else order[::-1])]
-
-
-def _swing_share(end: FloatArray, tip: FloatArray) -> float:
-    """Motion of a chain's end (rows, d) with the tip's in the last rows, as a share of that; 0 =
-    it rests, or no more than noise moves it.
-
-    A gripping point rests while the cable still swings; a point of the cable swings with it.
-    """
-    late = slice(int((1.0 - _FINAL_SHARE) * len(end)), None)
-    both = np.isfinite(end + tip)[late].all(axis=1)
-    own, of_tip = (p[late][both] - p[late][both].mean(axis=0) for p in (end, tip))
-    if len(own) <= _FEWEST_LATE:
-        return 0.0
-    by_tip, *_ = np.linalg.lstsq(of_tip, own, rcond=1e-6)
-    moved = of_tip @ by_tip
-    residual = float(np.mean((own - moved) ** 2))
-    share = float(np.linalg.norm(moved)) / max(float(np.linalg.norm(of_tip)), 1e-300)
-    significant = float(np.mean(moved**2)) * len(own) > _SIGNIFICANT**2 * residual
-    return share if significant and share > _SWINGS else 0.0
-
-
 #: Distances within a rigid body change by less than this share of the complete length.
 _RIGID = 0.01
 #: … and by less than this share of the largest change of distance of a cable's point.
 _RIGID_SHARE = 0.4
 #: Tolerance of a chain's length, relative to the cable's free length.
 _LENGTH_TOL = 0.03
-
-
-def _distance_range(first: FloatArray, second: FloatArray) -> float:
-    """Range of the distance of two points (rows, d), without 2 % of the rows at either end."""
-    distances = np.linalg.norm(first - second, axis=1)
-    distances = distances[np.isfinite(distances)]
-    return float(np.subtract(*np.percentile(distances, (98, 2)))) if len(distances) > 1 else np.inf
 
 
 def _without_body(
@@ -362,9 +297,9 @@ def _without_body(
 
     The cable's first marker keeps its distance too, but lies on the side of the others.
     """
-    places = _at_rest([*named, *cable], raw)
+    places = at_rest([*named, *cable], raw)
     size = float(np.ptp(places, axis=0).max())
-    change = {p.name: max(_distance_range(raw[h.name], raw[p.name]) for h in named) for p in cable}
+    change = {p.name: max(distance_range(raw[h.name], raw[p.name]) for h in named) for p in cable}
     most = min(_RIGID * size, _RIGID_SHARE * max(c for c in [0.0, *change.values()] if c < np.inf))
     rigid = [p for p in cable if change[p.name] < most]
     loose = [i for i, p in enumerate(cable, len(named)) if p not in rigid]
@@ -382,13 +317,13 @@ def _without_body(
 
 def _spans(order: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
     """(points,) length of the chain at rest from each point to the last, in the file's unit."""
-    steps = np.linalg.norm(np.diff(_at_rest(order, raw), axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(at_rest(order, raw), axis=0), axis=1)
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
 def _is_rigid(body: Sequence[Point], raw: dict[str, FloatArray], length: float) -> bool:
     """Whether points keep their distances to the last of them; `length` of chain or cable."""
-    change = [_distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
+    change = [distance_range(raw[p.name], raw[body[-1].name]) for p in body[:-1]]
     return max(change, default=0.0) < _RIGID * length
 
 
@@ -422,13 +357,3 @@ def _count_on_gripper(
     length = free_length_m / unit
     count = int(np.argmax(_spans(order, raw) <= (1.0 + _LENGTH_TOL) * length))
     return count if _is_rigid(order[:count], raw, length) else 0
-
-
-def _at_rest(points: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:
-    """(points, d) positions at rest, else in the middle row of those with all points."""
-    places = np.stack([raw[p.name] for p in points], axis=1)
-    rest = places[rest_rows(places)]
-    if len(rest) and np.isfinite(rest).all(axis=2).any(axis=0).all():
-        return middle(rest)
-    complete = places[np.isfinite(places).all(axis=(1, 2))]
-    return complete[len(complete) // 2] if len(complete) else middle(places)

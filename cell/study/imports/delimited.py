@@ -27,7 +27,7 @@ from cell.study.imports.capture import (
 from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
 from cell.study.imports.days import over_midnight, with_dates, with_fine_times
-from cell.study.imports.header import Header, read_header, with_legend, without_properties
+from cell.study.imports.header import Header, read_header, repeated, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
     of_frames,
@@ -302,6 +302,7 @@ def captured(
     grouped = any(is_grouped(c.strip(), decimal) for row in table[:SAMPLE] for c in row.cells)
     numeric = _numeric_columns(table, decimal, grouped)
     values, notes = _values(path, table, header, numeric, decimal, grouped)
+    first_of_name = _first_of_name(path, header, numeric, values, table[0].line)
     labels = {
         column.name: [row.cells[c].strip() for row in table]
         for c, column in enumerate(header.columns)
@@ -318,9 +319,29 @@ def captured(
             values[:, k] = over_midnight(values[:, k])
     lines = np.array([row.line for row in table], dtype=np.intp)
     capture = Capture(path, columns, values, lines, header.rate_hz, header.unit, notes=tuple(notes))
+    capture = capture.of_columns(first_of_name)
     capture = replace(capture, pixel_m=header.pixel_m, stated_time=header.time, order=header.order)
     clocks = [header.columns[c].name for c in times if is_clock(table[0].cells[c])]
     return with_fine_times(capture, clocks), labels
+
+
+def _first_of_name(
+    path: Path, header: Header, numeric: Sequence[bool], values: np.ndarray, line: int
+) -> list[int]:
+    """Indices of the numeric columns without repeated times, which some programs write beside each
+    point.
+
+    values  (rows, numeric columns); times missing in the first of them are filled in
+    raises  InputError: repeated times differ
+    """
+    names = [c.name for c, is_numeric in zip(header.columns, numeric, strict=True) if is_numeric]
+    firsts = [names.index(name) for name in names]
+    for k, first in enumerate(firsts):
+        missing = np.isnan(values[:, first])
+        values[missing, first] = values[missing, k]
+        if np.any(np.abs(values[:, k] - values[:, first]) > 0.0):
+            raise repeated(path, names[k], [c.name for c in header.columns], line)
+    return sorted(set(firsts))
 
 
 def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import CapturedColumn, is_number, number
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m, stated_time
 from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import REMARKS, split_line
@@ -69,13 +70,9 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
             break
     names, line = _names(path, naming, row)
     names = _with_name_of_index(naming, names)
-    twice = next((n for n in names if names.count(n) > 1), None)
+    twice = next((n for n in names if names.count(n) > 1 and not is_time(n)), None)
     if twice is not None:
-        both = [str(i + 1) for i, n in enumerate(names) if n == twice]
-        raise InputError.at(
-            path, f"{twice!r} names columns {' and '.join(both)}; give each marker and each column "
-            "a name of its own", line=line,
-        )  # fmt: skip
+        raise repeated(path, twice, names, line)
     return Header(
         tuple(CapturedColumn(n, u) for n, u in zip(names, units, strict=True)),
         rate_hz,
@@ -84,6 +81,18 @@ def read_header(path: Path, lines: Lines, row: Sequence[str]) -> Header:
         next(reversed(times.values()), None),
         _stated_order(rows),
     )
+
+
+def is_time(name: str) -> bool:
+    """Whether a column may be repeated: times, which some programs write beside each point."""
+    return meaning(CapturedColumn(name)).kind is ColumnKind.TIME
+
+
+def repeated(path: Path, name: str, names: Sequence[str], line: int) -> InputError:
+    """An error about columns with the same name."""
+    both = [str(i + 1) for i, n in enumerate(names) if n == name]
+    message = f"{name!r} names columns {' and '.join(both)}; give each marker and each column a "
+    return InputError.at(path, f"{message}name of its own", line=line)
 
 
 def _without_remark(cells: tuple[str, ...]) -> tuple[str, ...]:
@@ -146,7 +155,8 @@ def _names(path: Path, rows: Lines, row: Sequence[str]) -> tuple[list[str], int]
             break
         named = (any(column) for column in zip(*parts, strict=True))
         unique = all(n or not c.strip() for n, c in zip(named, row, strict=True))
-        unique = unique and len(set(names)) == width
+        others = [n for n in names if not is_time(n)]
+        unique = unique and len(set(others)) == len(others)
     if len(parts) == 1:
         parts = [_with_bodies(parts[0])]
     if parts:

@@ -195,7 +195,8 @@ def metres_per_unit(
         against = f"{_SHORTEST_M:g} to {MAX_LENGTH_M:g} m"
         against = against if free_length_m is None else f"{free_length_m:g} m"
         sentence = f"the file says {stated}, which makes the markers span {long} of a cable of "
-        sentence += f"{against}; give metres_per_unit{_remedy(extent, free_length_m)}"
+        sentence += f"{against}; give metres_per_unit{_remedy(extent, free_length_m)}, or take the "
+        sentence += "columns of points that are not on the cable out of the file"
         return None, Finding("metres_per_unit", sentence, Sure.MISSING)
     if stated:
         sentence = f"lengths are in {stated}, as the file says"

@@ -9,8 +9,8 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
+from cell.study.imports.cable_points import from_end
 from cell.study.imports.capture import Capture
-from cell.study.imports.choosing import from_end
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Point
 

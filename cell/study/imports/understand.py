@@ -273,7 +273,8 @@ def _arcs(
     elif arcs[-1] > length_m:
         sentence = f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: "
         sentence += "is the gripper's place, a unit or --free-length wrong, or are points of the "
-        sentence += "gripper to be called gripper_1, gripper_2?"
+        sentence += "gripper to be called gripper_1, gripper_2? If a point is not on the cable, "
+        sentence += "take its columns out of the file and propose the mapping again"
         findings.guessed("markers", sentence)
     elif arcs[-1] < (1.0 - TIP) * length_m:
         sentence = f"the last {length_m - arcs[-1]:.3g} m of the cable, beyond marker "
