@@ -16,7 +16,6 @@ from cell.study.imports.choosing import Chosen, check_scales, choose, detected_p
 from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
-from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_proposal import (
     TIP,
     GripperFile,
@@ -47,7 +46,13 @@ from cell.study.imports.plane_chain import (
     shape_at_rest,
     shapes_of,
 )
-from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
+from cell.study.imports.scales import (
+    ROUNDED_M,
+    arc_length_stds,
+    metres_per_unit,
+    time_section,
+    times_s,
+)
 from cell.study.imports.shape import arc_lengths, rest_rows
 from cell.study.imports.stated import OF_CABLE, Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
