@@ -19,6 +19,7 @@ from cell.study.imports.contents import Point, contents, with_names
 from cell.study.imports.gripper_proposal import TIP, initial_place
 from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import places_m
+from cell.study.imports.plane_chain import start_of
 from cell.study.imports.row_trials import rows_of
 from cell.study.imports.shape import arc_lengths, middle, reach_of, resting
 from cell.study.imports.trials import (
@@ -174,8 +175,9 @@ def _origin_m(
         message = f"is null, and {entry.name} shows no 3 markers at rest to estimate it by; measure"
         message += " where the origin of the gripper's places is, as [x, y]"
         raise read.error(("hand", "origin_m"), message)
-    start_m = CubicSpline(arcs, middle(rest))(0.0)
-    return _rounded(start_m - at_m), "the markers' curve begins at the gripper"
+    start_m, error_m = start_of(CubicSpline(arcs, middle(rest)))
+    where = f"the markers' curve begins at the gripper, ± {error_m * 1e3:.1g} mm"
+    return _rounded(start_m - at_m), where
 
 
 def _rounded(xy_m: FloatArray) -> tuple[float, float]:

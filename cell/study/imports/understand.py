@@ -45,6 +45,7 @@ from cell.study.imports.plane_chain import (
     scene_of,
     shape_at_rest,
     shapes_of,
+    start_of,
 )
 from cell.study.imports.scales import (
     ROUNDED_M,
@@ -392,12 +393,13 @@ def _with_origin(
     curve = curve_from_gripper(scene, arcs)
     if hand.columns is None or gripper.initial is None or scale is None or curve is None:
         return hand
-    start_m, length_m = curve(0.0), float(curve.x[-1])
+    (start_m, error_m), length_m = start_of(curve), float(curve.x[-1])
     own_axes, unit = hand.axes or axes, hand.metres_per_unit or scale
     initial = np.zeros(len(hand.columns))
     initial[[column is not None for column in hand.columns]] = gripper.initial
     hand_m = np.array([own_axes.right, own_axes.up]) @ initial * unit
-    why = "the curve through the markers at rest begins at the gripper; measure hand.origin_m"
+    why = "the curve through the markers at rest begins at the gripper, "
+    why += f"± {error_m * 1e3:.1g} mm; measure hand.origin_m"
     return _moved(hand, start_m - hand_m, _SAME_FRAME * length_m, why, findings)
 
 

@@ -69,6 +69,9 @@ def test_the_strokes_unit_fixes_the_scale_of_pixels(tmp_path: Path) -> None:
     assert mapping.metres_per_unit == pytest.approx(1.0 / 4000.0, rel=0.01)
     assert mapping.hand.metres_per_unit == 1e-3
     assert [m.arc_length_m for m in mapping.markers] == pytest.approx(ARCS_M, abs=1e-3)
+    error_mm = float(said.partition("begins at the gripper, ± ")[2].split()[0])
+    origin_m, shown_m = mapping.hand.origin_m, np.add(BASE_M, [0.3, -0.3])
+    assert np.linalg.norm(np.subtract(origin_m, shown_m)) * 1e3 < error_mm
     assert mapping.trials[0].start == "equilibrium"
     assert mapping.trials[0].clock_offset_s == pytest.approx(BEHIND_S, abs=2e-3)
 
