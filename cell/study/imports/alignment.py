@@ -34,6 +34,9 @@ class Alignment:
     gain         motion in the markers' file over that in the gripper's
     unexplained  variance of the residual over that of the gripper's path
     offset_m     (2,) from the gripper's path to the other
+    residual_s   rms of the residual over the velocity, while the gripper moves
+    is_turned    the gripper's path had to be rotated or mirrored: the axes of a file are wrong
+    by_clamp     the other path is that of a point on the gripper, not of the cable's root
     """
 
     shift_s: float
@@ -41,6 +44,9 @@ class Alignment:
     gain: float
     unexplained: float
     offset_m: FloatArray
+    residual_s: float
+    is_turned: bool = False
+    by_clamp: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +91,27 @@ def align_root(
     best, rough = results[0], results[-1]
     if best is None or rough is None:
         return best
-    return replace(best, std_s=float(np.hypot(best.std_s, best.shift_s - rough.shift_s)))
+    # One marker shows no slope at the clamp: all that the gripper does not explain may be delay.
+    error_s = best.residual_s if most == 1 else best.shift_s - rough.shift_s
+    return replace(best, std_s=float(np.hypot(best.std_s, error_s)))
+
+
+def turned_as(hand: GripperTrack, t_s: FloatArray, xy_m: FloatArray) -> GripperTrack | None:
+    """The gripper's track rotated or mirrored in the plane as a point (frames, 2) moves.
+
+    A clock does not depend on axes: it shows though those of one file are wrong.
+    None = their motions show no alignment
+    source  Schönemann 1966 (orthogonal Procrustes problem)
+    """
+    seen = np.isfinite(xy_m).all(axis=1)
+    shift_s, _ = _best_shift((hand.t_s, hand.xy_m), (t_s[seen], xy_m[seen]), any_axes=True)
+    if shift_s is None:
+        return None
+    path, _, _, both = _moved(shift_s, hand.t_s, hand.xy_m, t_s[seen])
+    shown = xy_m[seen][both]
+    left, _, right = np.linalg.svd(path.T @ (shown - shown.mean(axis=0)))
+    turn = left @ right
+    return GripperTrack(hand.t_s, hand.xy_m @ turn, hand.leaves @ turn)
 
 
 def _clamped_weights(arcs_m: FloatArray) -> FloatArray:
@@ -114,19 +140,12 @@ def align(
     if min(spans) == 0.0 or (spans[0] < _MIN_RATIO * spans[1] and not free_gain):
         return None
     gain = spans[1] / spans[0] if free_gain else 1.0
-    lasts_s = min(np.ptp(hand_s), np.ptp(marker_s))
-    low = marker_s[0] - hand_s[-1] + _OVERLAP * lasts_s
-    high = marker_s[-1] - hand_s[0] - _OVERLAP * lasts_s
-    sample = np.unique(np.linspace(0, len(marker_s) - 1, _SAMPLES).astype(int))
-    candidates = np.linspace(low, high, _SHIFTS)
-    sampled = marker_s[sample], marker_m[sample]
-    values = _relative_variance(candidates, (hand_s, gain * hand_m), sampled)
-    best = int(np.argmin(values))
-    if not np.isfinite(values[best]) or values[best] > 0.5:
+    marker = marker_s, marker_m
+    shift_s, step_s = _best_shift((hand_s, gain * hand_m), marker)
+    if shift_s is None:
         return None
-    shift_s, step_s = float(candidates[best]), float(candidates[1] - candidates[0])
     for _ in range(_ITERATIONS if free_gain else 1):
-        shift_s = _refined(shift_s, 2.0 * step_s, (hand_s, gain * hand_m), (marker_s, marker_m))
+        shift_s = _refined(shift_s, 2.0 * step_s, (hand_s, gain * hand_m), marker)
         path, middle, velocity, seen = _moved(shift_s, hand_s, gain * hand_m, marker_s)
         off = marker_m[seen] - marker_m[seen].mean(axis=0)
         gain *= float(np.sum(off * path) / np.sum(path**2)) if free_gain else 1.0
@@ -137,10 +156,30 @@ def align(
     std_s = float(np.linalg.norm(sums) / speed[-1])
     unexplained = float(np.sum((off - path) ** 2) / np.sum(path**2))
     offset_m = marker_m[seen].mean(axis=0) - middle
-    return Alignment(shift_s, std_s, gain, unexplained, offset_m)
+    squares = np.sum(velocity**2, axis=1)
+    residual_s = float(np.sqrt(np.sum((off - path) ** 2 * squares[:, None]) / np.sum(squares**2)))
+    return Alignment(shift_s, std_s, gain, unexplained, offset_m, residual_s)
 
 
 _Track = tuple[FloatArray, FloatArray]
+
+
+def _best_shift(hand: _Track, marker: _Track, any_axes: bool = False) -> tuple[float | None, float]:
+    """The candidate of least variance, None if the motions are not alike, and the step to the next.
+
+    any_axes  the path may be rotated or mirrored
+    """
+    (hand_s, _), (marker_s, marker_m) = hand, marker
+    lasts_s = min(np.ptp(hand_s), np.ptp(marker_s))
+    low = marker_s[0] - hand_s[-1] + _OVERLAP * lasts_s
+    high = marker_s[-1] - hand_s[0] - _OVERLAP * lasts_s
+    sample = np.unique(np.linspace(0, len(marker_s) - 1, _SAMPLES).astype(int))
+    candidates = np.linspace(low, high, _SHIFTS)
+    sampled = marker_s[sample], marker_m[sample]
+    values = _relative_variance(candidates, hand, sampled, any_axes)
+    best, step_s = int(np.argmin(values)), float(candidates[1] - candidates[0])
+    alike = np.isfinite(values[best]) and values[best] <= 0.5
+    return float(candidates[best]) if alike else None, step_s
 
 
 def _refined(shift_s: float, within_s: float, hand: _Track, marker: _Track) -> float:
@@ -170,14 +209,22 @@ def _moved(
     return path - middle, middle, velocity - velocity.mean(axis=0), seen
 
 
-def _relative_variance(shifts_s: FloatArray, hand: _Track, marker: _Track) -> FloatArray:
+def _relative_variance(
+    shifts_s: FloatArray, hand: _Track, marker: _Track, any_axes: bool = False
+) -> FloatArray:
     """Variance of marker minus gripper over the gripper's, while both are known; per shift."""
     then_s = marker[0] - shifts_s[:, None]
     overlap = (then_s >= hand[0][0]) & (then_s <= hand[0][-1])
     path = np.stack([np.interp(then_s, hand[0], hand[1][:, k]) for k in range(2)], axis=-1)
     shares = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), 1)
     of_path, of_all = _variance(path, shares), float(np.sum(np.var(hand[1], axis=0)))
-    ratio = _variance(marker[1] - path, shares) / (of_path + 2e-12)
+    residual = _variance(marker[1] - path, shares)
+    if any_axes:  # the largest trace of a turned covariance is the sum of its singular values
+        about = path - np.einsum("st,stk->sk", shares, path)[:, None]
+        covariance = np.einsum("st,stk,tl->skl", shares, about, marker[1])
+        sizes = np.linalg.svd(covariance, compute_uv=False).sum(axis=1)
+        residual += 2.0 * (np.trace(covariance, axis1=1, axis2=2) - sizes)
+    ratio = residual / (of_path + 2e-12)
     return np.where((overlap.sum(axis=1) < 4) | (of_path < _MIN_SHARE * of_all), np.inf, ratio)
 
 

@@ -111,7 +111,7 @@ def choose(
             body = ", ".join(repr(p.name) for p in order[:behind])
             sentence = f"{body}: on the gripper, for with them the markers span more than the cable"
             findings.guessed("markers", f"{sentence}, and they move as one body: left out")
-            order = order[behind:]
+            order = from_end(order[behind:], raw)
     else:
         first = hand or clamp
         assert first is not None

@@ -14,7 +14,6 @@ from scipy.interpolate import CubicSpline
 from cell.cable.arrays import FloatArray
 from cell.cable.geometry import ROUGHLY_STILL, Cable, Motion, moves_from_s
 from cell.files.input_error import InputError, Problem
-from cell.files.words import counted
 from cell.files.yaml_document import Key
 from cell.study.check import Failure, failures
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
@@ -23,6 +22,7 @@ from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
 from cell.study.imports.capture import Capture
 from cell.study.imports.clamp_angle import MOST_RAD
 from cell.study.imports.contents import with_names
+from cell.study.imports.estimates import with_estimates
 from cell.study.imports.gripper_path import GripperPath, gripper_path
 from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.joined_files import joined
@@ -30,7 +30,7 @@ from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import out_of_plane_m, places_m
 from cell.study.imports.read import read_capture
 from cell.study.imports.row_trials import rows_of
-from cell.study.imports.scales import WRONG_UNIT, is_coarse, other_rate
+from cell.study.imports.scales import WRONG_UNIT, other_rate, times_s
 from cell.study.trial_checks import TrialEvidence, trial_problems
 
 #: A unit of angles below this many radians is not the radian.
@@ -70,11 +70,10 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     arcs, stds = arcs[order], _arc_length_std_m(mapping, order)
     cable = _cable(read, arcs, stds, order)
     problems: list[Problem] = []
-    notes = [note for capture in captures.values() for note in capture.notes]
+    read, estimates = with_estimates(read, captures)
+    mapping = read.mapping
+    notes = [*(note for capture in captures.values() for note in capture.notes), *estimates]
     trials: list[Trial] = []
-    if mapping.hand.columns is not None and mapping.hand.origin_m is None:
-        read, note = _with_origin(read, captures, arcs, order)
-        notes.append(note)
     for i, entry in enumerate(mapping.trials):
         try:
             measured = _read_trial(read.of_trial(entry), entry, captures, order)
@@ -128,26 +127,6 @@ def _places_at_rest(trial: Trial, arcs: FloatArray) -> tuple[FloatArray, FloatAr
         return None
     curve = CubicSpline(arcs[::-1], np.nanmedian(shown, axis=0)[::-1])
     return np.array([trial.grip.x_m[0], trial.grip.y_m[0]]), curve(0.0)
-
-
-def _with_origin(
-    read: ReadMapping,
-    captures: Dictionary[str, Capture],
-    arcs: FloatArray,
-    order: NDArray[np.intp],
-) -> tuple[ReadMapping, str]:
-    """The mapping with the origin that its first trial shows, and a note.  Raises InputError."""
-    mapping, key = read.mapping, ("hand", "origin_m")
-    entry = mapping.trials[0]
-    shown = _places_at_rest(_read_trial(read.of_trial(entry), entry, captures, order).trial, arcs)
-    if shown is None:
-        message = f"is null, and {entry.name} shows no 3 markers at rest to estimate it by; measure"
-        raise read.error(key, f"{message} where the origin of the gripper's places is, as [x, y]")
-    x_m, y_m = (round(float(v), 5) for v in shown[1] - shown[0])
-    hand = mapping.hand.model_copy(update={"origin_m": (x_m, y_m)})
-    note = f"{read.document.path}: hand.origin_m is estimated as [{x_m:g}, {y_m:g}], so that the "
-    mapping = mapping.model_copy(update={"hand": hand})
-    return ReadMapping(mapping, read.document), f"{note}markers' curve begins at the gripper"
 
 
 def _check_origin(read: ReadMapping, trial: Trial, arcs: FloatArray, length_m: float) -> None:
@@ -208,8 +187,6 @@ def _check_trial(
     return problems, [*notes, *more]
 
 
-#: Minimum number of rows between two backward steps in time that form a separate recording.
-_RECORDING_ROWS = 5
 #: Tolerance of the rest directions of trials whose clamp angle is constant, rad.
 _REST_LIMIT = 0.05
 
@@ -345,41 +322,6 @@ def _renamed(capture: Capture, columns: Sequence[str | None], time: TimeSection)
     return replace(named, notes=tuple(notes))
 
 
-def times_s(capture: Capture, section: TimeSection) -> FloatArray:
-    """(rows,) times.  Raises InputError: one is missing, repeated or before the one above it."""
-    raw = capture.column(section.column)
-    if len(raw) < 2:
-        raise capture.error(0, f"has {counted(len(raw), 'row')}, needs at least 2")
-    if not np.isfinite(raw).all():
-        row = int(np.argmin(np.isfinite(raw)))
-        raise capture.error(row, "is empty; every row needs its time", section.column)
-    back = np.flatnonzero(np.diff(raw) <= 0.0) + 1
-    if len(back):
-        row = int(back[0])
-        word = "repeats" if raw[row] == raw[row - 1] else "comes after"
-        more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
-        remedy = "remove what is there twice, and sort the rows"
-        if _has_restarts(raw, back):
-            remedy = "another recording begins here: save each in a file of its own, or remove one"
-        if is_coarse(raw):
-            remedy = "its clock is coarser than the rows: give --rate, by which they are counted"
-        raise capture.error(
-            row,
-            f"{raw[row]:.12g} {word} {raw[row - 1]:.12g} of the row before{more}; times must rise: "
-            f"{remedy}",
-            section.column,
-        )
-    return np.asarray(raw * (section.seconds_per_unit or 1.0))
-
-
-def _has_restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
-    """Whether the times are of several recordings: large backward steps, many rows apart."""
-    parts = np.diff([0, *back, len(raw)])
-    steps = raw[back - 1] - raw[back]
-    usual = float(np.median(np.diff(raw)))
-    return bool(parts.min() >= _RECORDING_ROWS and steps.min() > _RECORDING_ROWS * usual > 0.0)
-
-
 def _motion(
     read: ReadMapping,
     entry: TrialEntry,
@@ -394,7 +336,7 @@ def _motion(
     mapping, hand = read.mapping, read.mapping.hand
     columns, time = list(hand.columns or ()), hand.time or mapping.time
     capture = _renamed(rows_of(captures[entry.hand_file or entry.file], entry.only), columns, time)
-    t_s = times_s(capture, time) - zero_s + entry.clock_offset_s
+    t_s = times_s(capture, time) - zero_s + (entry.clock_offset_s or 0.0)
     path = gripper_path(read, entry, capture, t_s)
     xy_m, angle_rad = path.xy_m, path.angle_rad
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(angle_rad)
@@ -418,7 +360,8 @@ def _motion(
         raise capture.error(
             int(rows[0]),
             f"the gripper is known from {span[0]:.6g} to {span[-1]:.6g} s, the markers from "
-            f"{frames_s[0]:.6g} to {frames_s[-1]:.6g} s; give clock_offset_s of the trial",
+            f"{frames_s[0]:.6g} to {frames_s[-1]:.6g} s; give clock_offset_s of the trial, "
+            "or null to have it estimated",
         )
     values = (span, xy_m[known, 0], xy_m[known, 1], angle_rad[known])
     return Motion(*(np.ascontiguousarray(v) for v in values)), path

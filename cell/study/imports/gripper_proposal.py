@@ -181,7 +181,7 @@ def gripper_file(capture: Capture) -> GripperFile:
     point = min(
         named, key=lambda p: (not _COMMANDED.isdisjoint(p.name.split()), "actual" not in p.name)
     )
-    initial = _initial_place(detected_places(capture, point.columns, ()))
+    initial = initial_place(detected_places(capture, point.columns, ()))
     return GripperFile(capture, inside, point, initial)
 
 
@@ -192,7 +192,7 @@ def _only_coordinate(capture: Capture, inside: Contents) -> Point | None:
     return Point(lengths[0][0], (lengths[0][0],), lengths[0][1].unit) if len(lengths) == 1 else None
 
 
-def _initial_place(places: FloatArray) -> FloatArray | None:
+def initial_place(places: FloatArray) -> FloatArray | None:
     """(d,) position of a point (rows, d) before it moves; None = it moves from the first row on."""
     known = places[np.isfinite(places).all(axis=1)]
     if len(known) < FEWEST_REST:
@@ -312,6 +312,11 @@ def section_of_file(
     elif (own := _reversed_axes(axes, nearest)) is not None:
         sentence = "the gripper's file has its own axes: they are turned round, so that it and the "
         findings.guessed("hand.axes", f"{sentence}marker next to it move the same way")
+    elif _way_off(axes, nearest) > 2.0 * _DIRECTION_TOL:
+        other, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
+        if _way_off(other, nearest) < _DIRECTION_TOL:
+            own = other
+            findings.guessed("hand.axes", sentence)
     unit, unit_finding = _unit_of_place(point, scale, nearest)
     findings += [replace(f, sentence=f"{file}: {f.sentence}") for f in (time_finding, unit_finding)]
     angle = clamp_angle(capture, inside, own or axes, root, findings, point.name)
@@ -370,6 +375,13 @@ def _reversed_axes(axes: AxesSection, nearest: NearestMarker) -> AxesSection | N
         return None
     right, up = np.where(opposite[:, None], -plane, plane) + 0.0
     return AxesSection(right=right.tolist(), up=up.tolist())
+
+
+def _way_off(axes: AxesSection, nearest: NearestMarker) -> float:
+    """Largest difference of the ways of the gripper, in its axes, and the nearest marker; 0 = one
+    of them does not move."""
+    hand, marker = _way(nearest.hand @ np.array([axes.right, axes.up]).T), _way(nearest.xy_m)
+    return 0.0 if hand is None or marker is None else float(np.abs(hand - marker).max())
 
 
 def _way(path: FloatArray) -> FloatArray | None:

@@ -94,7 +94,7 @@ class TrialEntry(SectionPart):
 
     joined_files    files with the same times, whose columns are joined to those of `file`
     only    column values that select its rows, where files hold several trials; empty = all rows
-    clock_offset_s  added to the times of the gripper's file
+    clock_offset_s  added to the times of the gripper's file; None = estimate it
     hand_starts_at_m, hand_ends_at_m  gripping point before and after its motion, where an
                     accelerometer measures it: the integral's error at the end is corrected
     hand_drift      error of the gripper's place, as a study states it
@@ -111,7 +111,7 @@ class TrialEntry(SectionPart):
     seconds_per_unit: Positive | None = None
     hand_seconds_per_unit: Positive | None = None
     only: dict[str, Finite | Name] = Field(default_factory=dict)
-    clock_offset_s: Finite = 0.0
+    clock_offset_s: Finite | None = 0.0
     hand_starts_at_m: tuple[Finite, Finite] | None = None
     hand_ends_at_m: tuple[Finite, Finite] | None = None
     hand_drift: HandDrift | None = None

@@ -142,3 +142,10 @@ def curve_from_gripper(scene: PlaneChain, arcs: Sequence[float | None]) -> Cubic
     if scene.from_gripper or len(known) < _MIN_CURVE or len(known) != len(scene.shape):
         return None
     return CubicSpline(known, scene.shape)
+
+
+def start_of(curve: CubicSpline) -> tuple[FloatArray, float]:
+    """(2,) position at arc length 0, and its error, m: the change by a curve without the second
+    point."""
+    coarse = CubicSpline(np.delete(curve.x, 1), np.delete(curve(curve.x), 1, axis=0))
+    return curve(0.0), float(np.linalg.norm(curve(0.0) - coarse(0.0)))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.cable.arrays import FloatArray
+from cell.files.words import counted
 from cell.study.entries import MAX_ARC_STD_FRACTION, MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn, Finding, Sure
 from cell.study.imports.column_names import ColumnKind, meaning
@@ -78,6 +80,45 @@ def time_section(
         sentence = f"time is in column {column!r}, {unit:.6g} s a unit ({why}): {shown}"
     section = TimeSection(column=column, seconds_per_unit=unit, starts_at_zero=zero)
     return section, Finding("time", sentence, sure)
+
+
+#: Minimum number of rows between two backward steps in time that form a separate recording.
+_RECORDING_ROWS = 5
+
+
+def times_s(capture: Capture, section: TimeSection) -> FloatArray:
+    """(rows,) times.  Raises InputError: one is missing, repeated or before the one above it."""
+    raw = capture.column(section.column)
+    if len(raw) < 2:
+        raise capture.error(0, f"has {counted(len(raw), 'row')}, needs at least 2")
+    if not np.isfinite(raw).all():
+        row = int(np.argmin(np.isfinite(raw)))
+        raise capture.error(row, "is empty; every row needs its time", section.column)
+    back = np.flatnonzero(np.diff(raw) <= 0.0) + 1
+    if len(back):
+        row = int(back[0])
+        word = "repeats" if raw[row] == raw[row - 1] else "comes after"
+        more = f", as in {len(back) - 1} more rows" if len(back) > 1 else ""
+        remedy = "remove what is there twice, and sort the rows"
+        if _has_restarts(raw, back):
+            remedy = "another recording begins here: save each in a file of its own, or remove one"
+        if is_coarse(raw):
+            remedy = "its clock is coarser than the rows: give --rate, by which they are counted"
+        raise capture.error(
+            row,
+            f"{raw[row]:.12g} {word} {raw[row - 1]:.12g} of the row before{more}; times must rise: "
+            f"{remedy}",
+            section.column,
+        )
+    return np.asarray(raw * (section.seconds_per_unit or 1.0))
+
+
+def _has_restarts(raw: FloatArray, back: NDArray[np.intp]) -> bool:
+    """Whether the times are of several recordings: large backward steps, many rows apart."""
+    parts = np.diff([0, *back, len(raw)])
+    steps = raw[back - 1] - raw[back]
+    usual = float(np.median(np.diff(raw)))
+    return bool(parts.min() >= _RECORDING_ROWS and steps.min() > _RECORDING_ROWS * usual > 0.0)
 
 
 def is_coarse(times: FloatArray) -> bool:

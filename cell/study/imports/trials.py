@@ -5,24 +5,29 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping as Dictionary
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from unicodedata import combining, normalize
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.study.imports.alignment import Alignment, GripperTrack, align, align_root
+from cell.study.imports.alignment import (
+    Alignment,
+    GripperTrack,
+    align,
+    align_root,
+    turned_as,
+)
 from cell.study.imports.capture import Capture, ImportFindings, Sure
 from cell.study.imports.contents import Point, contents
-from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_path import interpolated
 from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.groups import PART
 from cell.study.imports.mapping import Mapping, TrialEntry
 from cell.study.imports.places import clamp_angle_rad, places_m
 from cell.study.imports.row_trials import TrialLabel
-from cell.study.imports.scales import counts_frames, time_section
+from cell.study.imports.scales import counts_frames, time_section, times_s
 from cell.study.imports.shape import FEWEST_REST, rest_rows
 from cell.study.series import span_m
 
@@ -138,8 +143,9 @@ def _seconds_per_unit(
 _SAME_POINT = 0.02
 #: Minimum clock offset that a point of the gripper shows, in standard deviations.
 _SIGMAS = 3.0
-#: Minimum clock offset that is proposed, in rows.
-ROWS_OFF = 1.5
+#: Minimum clock offset that is proposed, in rows, where both clocks should be one; else as a share
+#: of a row.
+ROWS_OFF, _SHARE_OF_ROW = 1.5, 0.1
 #: Maximum arc length, as a fraction of the cable, of a marker that follows the gripper closely.
 NEAR_HAND = 0.35
 #: Time zones differ by multiples of half an hour; maximum difference, s.
@@ -167,8 +173,8 @@ def _shared_clock(
     shifts, weights, steps = [], [], []
     for files in trials:
         t_s = times_s(files.capture, time)
-        hand = _gripper_path(files, mapping)
-        aligned, _ = _aligned(files, mapping, clamp)
+        hand = gripper_path_of(files, mapping)
+        aligned = aligned_gripper(files, mapping, clamp)
         steps.append(float(max(np.median(np.diff(hand.t_s)), np.median(np.diff(t_s)))))
         if aligned is not None:
             shifts.append(aligned.shift_s)
@@ -200,12 +206,13 @@ def _start_and_clock(
     t_s = times_s(capture, mapping.time)
     zero_s = float(t_s[0]) if mapping.time.starts_at_zero else 0.0
     t_s = t_s - zero_s
-    xy_m = _markers_m(capture, mapping)
+    xy_m = markers_m(capture, mapping)
     offset_s, gripper, length_m = 0.0, None, mapping.cable.free_length_m or 1.0
+    is_known = True
     hand_time = mapping.hand.time or mapping.time
     is_timed = hand_time.seconds_per_unit is not None
     if is_timed and mapping.hand.columns is not None:
-        track = _gripper_path(files, mapping)
+        track = gripper_path_of(files, mapping)
         hand_s, hand_m = track.t_s, track.xy_m
         zone_s = _zone_s(name, hand_s, t_s, findings)
         hand_s = hand_s + zone_s
@@ -216,13 +223,16 @@ def _start_and_clock(
         if hand is not None and not offset_s:
             is_counted = counts_frames(mapping.time) and not counts_frames(hand_time)
             first_s = zero_s if is_counted else 0.0
-            offset_s = _clock(files, mapping, clamp, first_s + zone_s, findings)
+            shift_s = _clock(files, mapping, clamp, first_s + zone_s, findings)
+            is_known, offset_s = shift_s is not None, shift_s or 0.0
             if first_s:
                 offset_s = round(first_s + offset_s, 6)
                 sentence = f"{name}: column {mapping.time.column!r} counts frames: the first is "
                 sentence += "taken as time 0 of the gripper's file, unless said otherwise"
                 findings.guessed("clock_offset_s", sentence)
-        gripper = hand_s + offset_s, hand_m
+        hand_s = hand_s + offset_s
+        if is_known or (hand_s[0] < t_s[-1] and t_s[0] < hand_s[-1]):
+            gripper = hand_s, hand_m
         offset_s += zone_s
     elif hand is not None:
         sentence = f"{name}: whether both clocks agree is not known before the gripper's path is"
@@ -254,13 +264,14 @@ def _comparable(mapping: Mapping) -> bool:
     return known and all(t.seconds_per_unit for t in times)
 
 
-def _markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
+def markers_m(capture: Capture, mapping: Mapping) -> FloatArray:
     """(rows, markers, 2) positions, nan where they are not seen."""
     frame = mapping.axes, mapping.metres_per_unit or 1.0, mapping.lost
     return np.stack([places_m(capture, m.columns, *frame) for m in mapping.markers], axis=1)
 
 
-def _gripper_path(files: Files, mapping: Mapping) -> GripperTrack:
+def gripper_path_of(files: Files, mapping: Mapping) -> GripperTrack:
+    """The gripper's track in the study's axes, on the clock of its own file."""
     section, source = mapping.hand, files.gripper or files.capture
     assert section.columns is not None  # a proposal has no fixed gripper
     t_s, _ = _times_s(files, mapping)
@@ -296,24 +307,22 @@ def _row_offset(
 
 def _clock(
     files: Files, mapping: Mapping, clamp: Point | None, added_s: float, findings: ImportFindings
-) -> float:
-    """Offset of the gripper's clock, s; 0 = both agree, or no marker near the gripper shows it.
+) -> float | None:
+    """Offset of the gripper's clock, s; 0 = both agree, None = no motion near the gripper shows it.
 
     added_s  to the gripper's times before
     """
-    name, first, length_m = files.name, mapping.markers[0].arc_length_m, mapping.cable.free_length_m
-    aligned, by_clamp = _aligned(files, mapping, clamp)
+    name, aligned = files.name, aligned_gripper(files, mapping, clamp)
     if aligned is None:
-        is_near = first is not None and length_m is not None and first <= NEAR_HAND * length_m
-        reason = "the gripper hardly moves" if is_near else "no marker is near the gripper"
-        sentence = f"{name}: {reason}: whether both clocks agree is not known"
+        sentence = f"{name}: {_why_unknown(files, mapping)}: whether both clocks agree is not known"
         findings.guessed("clock_offset_s", sentence)
-        return 0.0
+        return None
+    if aligned.is_turned:
+        sentence = f"{name}: the gripper's path is turned or mirrored against the marker next to it"
+        findings.guessed("hand.axes", f"{sentence}: axes, or hand.axes, are wrong")
     hand_s, t_s = _times_s(files, mapping)
     shift_s = round(aligned.shift_s - added_s, 4)
-    limit_s = ROWS_OFF * float(max(np.median(np.diff(hand_s)), np.median(np.diff(t_s))))
-    if by_clamp and not files.in_one:
-        limit_s = _SIGMAS * aligned.std_s
+    limit_s = clock_limit_s(files, mapping, aligned)
     if abs(shift_s) <= limit_s:
         sentence = f"{name}: both clocks agree within {limit_s * 1e3:.3g} ms"
         findings.shown("clock_offset_s", sentence)
@@ -323,10 +332,27 @@ def _clock(
         sentence += f"move at once if the gripper's is {shift_s:+g} s later; give clock_offset_s if"
         findings.guessed("clock_offset_s", f"{sentence} that is right")
         return 0.0
-    how = f"that it and {clamp.name!r} move" if clamp is not None and by_clamp else "that both move"
+    how = f"it and {clamp.name!r} move" if clamp is not None and aligned.by_clamp else "both move"
     sentence = f"{name}: {shift_s:+z.4f} s ± {aligned.std_s * 1e3:.1g} ms are added to the "
-    findings.guessed("clock_offset_s", f"{sentence}gripper's clock, so {how} at once")
+    findings.guessed("clock_offset_s", f"{sentence}gripper's clock, so that {how} at once")
     return shift_s
+
+
+def clock_limit_s(files: Files, mapping: Mapping, aligned: Alignment) -> float:
+    """Largest clock offset that an alignment does not show, s."""
+    rows_s = max(float(np.median(np.diff(t_s))) for t_s in _times_s(files, mapping))
+    if files.in_one:
+        return ROWS_OFF * rows_s
+    return max(_SIGMAS * aligned.std_s, 0.0 if aligned.by_clamp else _SHARE_OF_ROW * rows_s)
+
+
+def _why_unknown(files: Files, mapping: Mapping) -> str:
+    first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
+    if first is None or length_m is None or first > NEAR_HAND * length_m:
+        return "no marker is near the gripper"
+    if span_m(gripper_path_of(files, mapping).xy_m) < _MIN_MOTION * length_m:
+        return "the gripper hardly moves"
+    return f"{mapping.markers[0].name!r} does not move as the gripper does"
 
 
 def _times_s(files: Files, mapping: Mapping) -> tuple[FloatArray, FloatArray]:
@@ -337,25 +363,31 @@ def _times_s(files: Files, mapping: Mapping) -> tuple[FloatArray, FloatArray]:
     return hand_s - zero_s, t_s - zero_s
 
 
-def _aligned(
+def aligned_gripper(
     files: Files, mapping: Mapping, clamp: Point | None, free_gain: bool = False
-) -> tuple[Alignment | None, bool]:
-    """The gripper's path aligned with the clamp, and True; else with the cable's root, and False.
+) -> Alignment | None:
+    """The gripper's path aligned with the clamp, else with the cable's root.
 
-    None = the gripper hardly moves, or no marker is near it
+    None = the gripper hardly moves, or no marker near it moves alike
     """
     capture, frame = files.capture, (mapping.axes, mapping.metres_per_unit or 1.0, mapping.lost)
-    hand, (_, t_s) = _gripper_path(files, mapping), _times_s(files, mapping)
+    hand, (_, t_s) = gripper_path_of(files, mapping), _times_s(files, mapping)
     if clamp is not None and set(clamp.columns) <= set(capture.names):
         clamp_m = places_m(capture, clamp.columns, *frame, of_hand=True)
         aligned = align(hand.t_s, hand.xy_m, t_s, clamp_m, free_gain)
         if aligned is not None and aligned.unexplained < _SAME_POINT:
-            return aligned, True
+            return replace(aligned, by_clamp=True)
     first, length_m = mapping.markers[0].arc_length_m, mapping.cable.free_length_m
     if first is None or length_m is None or first > NEAR_HAND * length_m:
-        return None, False
-    arcs_m = [m.arc_length_m for m in mapping.markers]
-    return align_root(hand, t_s, _markers_m(capture, mapping), arcs_m, free_gain), False
+        return None
+    arcs_m, xy_m = [m.arc_length_m for m in mapping.markers], markers_m(capture, mapping)
+    aligned = align_root(hand, t_s, xy_m, arcs_m, free_gain)
+    if aligned is None and (turned := turned_as(hand, t_s, xy_m[:, 0])) is not None:
+        aligned = align_root(turned, t_s, xy_m, arcs_m, free_gain)
+        if aligned is not None:
+            alike = aligned.unexplained < _SAME_POINT
+            aligned = replace(aligned, is_turned=True) if alike else None
+    return aligned
 
 
 def stroke_gain(trials: Sequence[Files], mapping: Mapping, clamp: Point | None) -> float | None:
@@ -367,10 +399,10 @@ def stroke_gain(trials: Sequence[Files], mapping: Mapping, clamp: Point | None) 
     for files in trials if _comparable(mapping) else ():
         if files.gripper is None:
             continue
-        aligned = _aligned(files, mapping, clamp, free_gain=True)[0]
+        aligned = aligned_gripper(files, mapping, clamp, free_gain=True)
         if aligned is not None and aligned.unexplained < _SAME_POINT:
             gains.append(aligned.gain)
-            weights.append(span_m(_gripper_path(files, mapping).xy_m) ** 2)
+            weights.append(span_m(gripper_path_of(files, mapping).xy_m) ** 2)
     return float(np.average(gains, weights=weights)) if gains else None
 
 
@@ -378,8 +410,8 @@ def origin_by_clamp(files: Files, mapping: Mapping, clamp: Point) -> FloatArray 
     """(2,) of the gripper's file in the study's frame, m; None = the paths are not alike."""
     if files.gripper is None or not _comparable(mapping):
         return None
-    aligned, by_clamp = _aligned(files, mapping, clamp)
-    return aligned.offset_m if aligned is not None and by_clamp else None
+    aligned = aligned_gripper(files, mapping, clamp)
+    return aligned.offset_m if aligned is not None and aligned.by_clamp else None
 
 
 def _start(
@@ -411,7 +443,7 @@ def _start(
         sentence = f"{name}: the cable is at rest until the gripper moves: start equilibrium"
         findings.shown("trials.start", sentence)
         return {"start": "equilibrium"}
-    gripper = f"only at {moves_s:.3g} s" if moved.any() else "does not"
-    sentence = f"{name}: the cable moves at {begins_s:.3g} s, the gripper {gripper}: let go (start "
+    gripper = f"only at {moves_s:.6g} s" if moved.any() else "does not"
+    sentence = f"{name}: the cable moves at {begins_s:.6g} s, the gripper {gripper}: let go (start "
     findings.guessed("trials.start", f"{sentence}held)")
     return {"start": "held", "release_s": round(float(t_s[rest.stop - 1]), 4)}

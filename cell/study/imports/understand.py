@@ -16,7 +16,6 @@ from cell.study.imports.choosing import Chosen, check_scales, choose, detected_p
 from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
-from cell.study.imports.convert import times_s
 from cell.study.imports.gripper_proposal import (
     TIP,
     GripperFile,
@@ -47,8 +46,15 @@ from cell.study.imports.plane_chain import (
     scene_of,
     shape_at_rest,
     shapes_of,
+    start_of,
 )
-from cell.study.imports.scales import ROUNDED_M, arc_length_stds, metres_per_unit, time_section
+from cell.study.imports.scales import (
+    ROUNDED_M,
+    arc_length_stds,
+    metres_per_unit,
+    time_section,
+    times_s,
+)
 from cell.study.imports.shape import arc_lengths, rest_rows
 from cell.study.imports.stated import OF_CABLE, Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
@@ -429,12 +435,13 @@ def _with_origin(
     curve = curve_from_gripper(scene, arcs)
     if hand.columns is None or gripper.initial is None or scale is None or curve is None:
         return hand
-    start_m, length_m = curve(0.0), float(curve.x[-1])
+    (start_m, error_m), length_m = start_of(curve), float(curve.x[-1])
     own_axes, unit = hand.axes or axes, hand.metres_per_unit or scale
     initial = np.zeros(len(hand.columns))
     initial[[column is not None for column in hand.columns]] = gripper.initial
     hand_m = np.array([own_axes.right, own_axes.up]) @ initial * unit
-    why = "the curve through the markers at rest begins at the gripper; measure hand.origin_m"
+    why = "the curve through the markers at rest begins at the gripper, "
+    why += f"± {error_m * 1e3:.1g} mm; measure hand.origin_m"
     return _moved(hand, start_m - hand_m, _SAME_FRAME * length_m, why, findings)
 
 
