@@ -11,9 +11,10 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
+from cell.study.imports.cable_root import A_LINE, Root
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
-from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
+from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
 from cell.study.imports.convert import times_s
@@ -36,13 +37,12 @@ from cell.study.imports.gripper_section import (
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
-    A_LINE,
     PlaneChain,
     curve_from_gripper,
     detected_points,
     root_at_rest,
+    root_ends,
     root_in_rows,
-    roots_of_others,
     scene_of,
     shape_at_rest,
     shapes_of,
@@ -140,8 +140,9 @@ def _proposed(
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     stds = _arc_stds(scene, stated, arcs, findings)
-    roots = roots_of_others(trials, chosen, axes, arcs)
-    root = replace(root_at_rest(scene, arcs), others=roots)
+    ends = [e for e in root_ends(trials, points, chosen, axes, arcs) if e is not None]
+    others = tuple(e for e in ends if e.capture is not (first.gripper or first.capture))
+    root = replace(root_at_rest(scene, arcs), ends=tuple(ends), others=others)
     if gripper is not None:
         is_timed = time.seconds_per_unit is not None
         lasts_s = float(np.ptp(times_s(first.capture, time))) if is_timed else None
@@ -151,7 +152,9 @@ def _proposed(
         hand = _gripper(first.capture, chosen, axes, scene, root, findings)
     if gripper is not None and rest is None and start is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
-    hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, root, findings)
+    sources = [files.gripper or files.capture for files in trials]
+    own, option_rad = hand.axes or axes, stated.clamp_angle_rad
+    hand = stated_angle(sources, hand, own, option_rad, root, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -177,6 +180,8 @@ def _proposed(
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
     _add_unused(inside, chosen, hand, first.capture, findings)
+    if gripper is not None:
+        _add_unused_of_gripper(gripper, hand, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
 
@@ -436,3 +441,21 @@ def _add_unused(
     if any(is_of_wrench(name) for name in unused):
         sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
     findings.shown("unused", sentence)
+
+
+def _add_unused_of_gripper(
+    gripper: GripperFile, hand: GripperSection, findings: ImportFindings
+) -> None:
+    """List the angles of the gripper's file that change, but are not used.
+
+    Those from which a robot's quaternion was made are used.
+    """
+    capture, of_angle, inside = gripper.capture, hand.angle, gripper.inside
+    used = {of_angle.column, *(of_angle.rotation or ()), *(of_angle.quaternion or ())}
+    if any(name.endswith("quaternion x") for name in used if name):
+        return
+    names = [n for n, _ in inside.angles] + [n for _, four in inside.quaternions for n in four]
+    unused = [n for n in names if n not in used and np.nanstd(capture.column(n)) > 0.0]
+    if unused:
+        listed = first_of(unused, 8)
+        findings.shown("unused", f"not used of {capture.path.name}: columns {listed}, which change")
