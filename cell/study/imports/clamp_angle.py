@@ -127,7 +127,7 @@ def stated_angle(
     a direction of the gripper that does not turn.
 
     captures  files with the gripper, one a trial
-    axes      of the gripper's columns
+    axes      of the markers
     root      of the cable at rest
     findings  those about the angle are replaced
     raises    InputError: a column of the gripper has the angle, the gripper turns, or the cable
@@ -139,7 +139,7 @@ def stated_angle(
     option = f"--clamp-angle states {np.degrees(stated_rad):.1f}°"
     about = [f for f in findings if f.entry.startswith("hand.angle")]
     guessed = all(f.sure is Sure.GUESSED for f in about) and not _is_of_gripper(hand)
-    shown_rad = None if guessed else _constant_direction(captures, hand, axes)
+    shown_rad = None if guessed else _constant_direction(captures, hand, hand.axes or axes)
     if hand.angle.constant_rad is not None or hand.angle == AngleSection() or guessed:
         section = AngleSection(constant_rad=stated_rad)
         sentence = f"the clamp angle is {angle}, constant, as --clamp-angle says"

@@ -11,7 +11,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
-from cell.study.imports.cable_root import A_LINE, Root
+from cell.study.imports.cable_root import A_LINE, Root, RootEnds
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
@@ -140,9 +140,7 @@ def _proposed(
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     stds = _arc_stds(scene, stated, arcs, findings)
-    ends = [e for e in root_ends(trials, points, chosen, axes, arcs) if e is not None]
-    others = tuple(e for e in ends if e.capture is not (first.gripper or first.capture))
-    root = replace(root_at_rest(scene, arcs), ends=tuple(ends), others=others)
+    root = _with_ends(root_at_rest(scene, arcs), root_ends(trials, points, chosen, axes, arcs))
     if gripper is not None:
         is_timed = time.seconds_per_unit is not None
         lasts_s = float(np.ptp(times_s(first.capture, time))) if is_timed else None
@@ -153,8 +151,7 @@ def _proposed(
     if gripper is not None and rest is None and start is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
     sources = [files.gripper or files.capture for files in trials]
-    own, option_rad = hand.axes or axes, stated.clamp_angle_rad
-    hand = stated_angle(sources, hand, own, option_rad, root, findings)
+    hand = stated_angle(sources, hand, axes, stated.clamp_angle_rad, root, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -179,11 +176,15 @@ def _proposed(
     gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
-    _add_unused(inside, chosen, hand, first.capture, findings)
-    if gripper is not None:
-        _add_unused_of_gripper(gripper, hand, findings)
+    _add_unused((inside, first.capture), chosen, gripper, hand, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
+
+
+def _with_ends(root: Root, ends: Sequence[RootEnds | None]) -> Root:
+    """The root with those at the ends of all trials, the first trial's first."""
+    others = tuple(e for e in ends[1:] if e is not None)
+    return replace(root, ends=tuple(e for e in ends if e is not None), others=others)
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
@@ -424,12 +425,14 @@ def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
 
 
 def _add_unused(
-    inside: Contents,
+    file: tuple[Contents, Capture],
     chosen: Chosen,
+    gripper: GripperFile | None,
     hand: GripperSection,
-    capture: Capture,
     findings: ImportFindings,
 ) -> None:
+    _add_unused_of_gripper(gripper, hand, findings)
+    inside, capture = file
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
     used = {n for p in points if p is not None for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
@@ -444,12 +447,14 @@ def _add_unused(
 
 
 def _add_unused_of_gripper(
-    gripper: GripperFile, hand: GripperSection, findings: ImportFindings
+    gripper: GripperFile | None, hand: GripperSection, findings: ImportFindings
 ) -> None:
     """List the angles of the gripper's file that change, but are not used.
 
     Those from which a robot's quaternion was made are used.
     """
+    if gripper is None:
+        return
     capture, of_angle, inside = gripper.capture, hand.angle, gripper.inside
     used = {of_angle.column, *(of_angle.rotation or ()), *(of_angle.quaternion or ())}
     if any(name.endswith("quaternion x") for name in used if name):
