@@ -2,87 +2,39 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
+from cell.study.imports.body_orientation import (
+    angles_of_gripper,
+    forms_of_four,
+    forms_of_three,
+    offset_clause,
+    quaternion_of,
+    section_of_body,
+)
+from cell.study.imports.cable_root import MIN_ROTATION, Root, first_rows, turn_signs
 from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings, Sure
 from cell.study.imports.column_names import Meaning, meaning
 from cell.study.imports.contents import HAND, Contents, Point
-from cell.study.imports.gripper_section import (
-    BODY_AXES,
-    ORDERS,
-    AngleSection,
-    AxesSection,
-    GripperSection,
-)
-from cell.study.imports.places import body_axis, clamp_angle_rad, continuous, orientation
+from cell.study.imports.gripper_section import AngleSection, AxesSection, GripperSection
+from cell.study.imports.places import angle_towards, clamp_angle_rad, continuous, places_m
 from cell.study.imports.units import RADIANS
-from cell.study.series import noise_m, wrapped
+from cell.study.series import wrapped
 
 #: Largest angle of a clamp in a study, rad.
 MOST_RAD = 2.0 * np.pi
-#: Rotation above which the cable's root determines the sign of an angle, rad.
-_MIN_ROTATION = 0.05
 #: Penalties of less usual interpretations of a column, rad: a negative sign, a quarter turn, a unit
 #: that is not stated.
 _SIGN_COST, _QUARTER_COST, _UNIT_COST = 0.02, 0.3, 0.05
-#: Largest difference at rest between the root and a correct angle, rad; else an offset is needed.
-_TOLERANCE = 0.35
-#: Accuracy of the root at rest by a curve, rad.
-_CURVE_STD = 0.0125
-#: Number of medians of a trial by which two rotations are compared, and the difference of their
-#: ratio from 1 that the cable's bending at its root may cause.
-_BLOCKS, _RATIO_TOL = 50, 0.05
-#: Out-of-plane rotations of a body in two interpretations are alike up to this ratio, or so small,
-#: rad.
-_ALIKE, _SMALL_TILT = 1.2, 1e-3
 #: An unnamed angle is the clamp's if it is within this of the root at rest, rad.
 _SAME_AT_REST = 0.1
-#: As _TOLERANCE, for a root estimated by the line to a single marker, from which a cable droops.
-_LINE_TOLERANCE = 1.0
-
-
-@dataclass(frozen=True)
-class Root:
-    """Estimate of the clamp angle by the direction of the cable at its root.
-
-    angle_rad  (rows,) of the markers' file, approximate during motion
-    rest_rad   at rest
-    is_line    estimated by the line to the only marker, from which a drooping cable departs
-    error_rad  estimated error of `rest_rad`, for its few points
-    others     of the other trials: the file with the gripper, and `rest_rad`
-    """
-
-    angle_rad: FloatArray
-    rest_rad: float
-    is_line: bool = False
-    error_rad: float = 0.0
-    others: tuple[tuple[Capture, float], ...] = ()
-
-    @property
-    def agrees_rad(self) -> float:
-        """Largest difference at rest between the root and a correct angle."""
-        return _LINE_TOLERANCE if self.is_line else _TOLERANCE
-
-    @property
-    def std_rad(self) -> float:
-        """Accuracy at rest."""
-        return _LINE_TOLERANCE if self.is_line else max(_CURVE_STD, self.error_rad)
-
-    def offset_rad(self, shown_rad: float) -> float:
-        """Angle from a direction of the gripper to the cable at rest; 0 or π if that may be."""
-        offset = wrapped(self.rest_rad - shown_rad)
-        for exact in (0.0, float(np.pi)):
-            if abs(wrapped(offset - exact)) < self.std_rad:
-                return exact
-        return float(round(offset, 4))
+#: Number of medians of a trial by which a gripper that does not turn is recognized.
+_BLOCKS = 50
 
 
 @dataclass(frozen=True)
@@ -125,17 +77,17 @@ def clamp_angle(
     hand      name of the gripping point, which identifies its columns; empty = it has none
     second    a second point of the gripper, and the angle of the line to it at rest; None = none
     """
-    four = next((q for group, q in inside.quaternions if group == hand), None)
-    if four is None and len(inside.quaternions) == 1:
-        four = inside.quaternions[0][1]
-    if four is not None and _is_filler(capture.at(list(four)), hand):
-        four = None
-    if four is not None and len(axes.up) == len("xyz"):  # one angle is no 3D orientation
+    four, spatial = quaternion_of(capture, inside, hand), len(axes.up) == len("xyz")
+    if four is not None and spatial:  # one angle is no 3D orientation
         return _section_of_four(capture, four, axes, root, findings)
     angles = tuple(f for f in inside.angles if not _is_heading(capture, inside, *f))
     inside = replace(inside, angles=angles)
-    if section := _section_of_three(capture, inside, axes, root, findings, hand):
-        return section
+    groups = list(forms_of_three(capture, inside, hand)) if spatial else []
+    for forms in groups:
+        if section := section_of_body(capture, forms, axes, root, findings):
+            return section
+    if groups:
+        return _no_angle(" … ".join(groups[0][0].rotation or []), findings)
     if (column := _column(inside, axes, hand)) is not None:
         return _section_of_column(capture, *column, root, findings)
     if (column := _column_like_root(capture, inside, root)) is not None:
@@ -149,7 +101,7 @@ def clamp_angle(
         point, shown_rad = second
         offset = root.offset_rad(shown_rad)
         sentence = f"the clamp angle is that of the line between {hand!r} and {point.name!r}"
-        findings.guessed("hand.angle", sentence + _offset_clause(offset))
+        findings.guessed("hand.angle", sentence + offset_clause(offset, root))
         return AngleSection(towards=list(point.columns), offset_rad=round(offset, 10))
     angle = round(root.rest_rad, 4) + 0.0
     sentence = "no angle of the gripper is in the file: it is taken as constant, "
@@ -162,21 +114,41 @@ def clamp_angle(
 
 
 def stated_angle(
-    path: Path, hand: GripperSection, stated_rad: float | None, root: Root, findings: ImportFindings
+    captures: Sequence[Capture],
+    hand: GripperSection,
+    axes: AxesSection,
+    stated_rad: float | None,
+    root: Root,
+    findings: ImportFindings,
 ) -> GripperSection:
-    """The gripper with the constant clamp angle that the user states; None = nothing is stated.
+    """The gripper with the clamp angle that the user states; None = nothing is stated.
 
+    It takes the place of what is estimated from the cable: of a constant angle, or of the offset to
+    a direction of the gripper that does not turn.
+
+    captures  files with the gripper, one a trial
+    axes      of the markers
     root      of the cable at rest
     findings  those about the angle are replaced
-    raises    InputError: a column of the gripper has the angle, or one with which the cable turns;
-              or the cable contradicts the statement
+    raises    InputError: a column of the gripper has the angle, the gripper turns, or the cable
+              contradicts the statement
     """
     if stated_rad is None:
         return hand
+    path, angle = captures[0].path, f"{np.degrees(stated_rad):.2f}°"
     option = f"--clamp-angle states {np.degrees(stated_rad):.1f}°"
     about = [f for f in findings if f.entry.startswith("hand.angle")]
     guessed = all(f.sure is Sure.GUESSED for f in about) and not _is_of_gripper(hand)
-    if hand.angle.constant_rad is None and hand.angle != AngleSection() and not guessed:
+    shown_rad = None if guessed else _constant_direction(captures, hand, hand.axes or axes)
+    if hand.angle.constant_rad is not None or hand.angle == AngleSection() or guessed:
+        section = AngleSection(constant_rad=stated_rad)
+        sentence = f"the clamp angle is {angle}, constant, as --clamp-angle says"
+    elif shown_rad is not None:
+        offset = wrapped(hand.angle.offset_rad + stated_rad - shown_rad)
+        section = hand.angle.model_copy(update={"offset_rad": round(offset, 10) + 0.0})
+        sentence = f"the clamp angle is {angle} at rest, as --clamp-angle says: that fixes the "
+        sentence += "offset to the gripper's direction, which hardly turns"
+    else:
         found = " ".join(f.sentence for f in about if f.entry == "hand.angle")
         raise InputError.at(path, f"{option}, but {found}; leave the option out")
     if abs(wrapped(root.rest_rad - stated_rad)) > root.agrees_rad:
@@ -186,9 +158,30 @@ def stated_angle(
         message += "leave it out and check the `axes` of the proposal"
         raise InputError.at(path, message)
     findings[:] = [f for f in findings if f not in about]
-    angle = f"{np.degrees(stated_rad):.2f}°"
-    findings.stated("hand.angle", f"the clamp angle is {angle}, constant, as --clamp-angle says")
-    return hand.model_copy(update={"angle": AngleSection(constant_rad=stated_rad)})
+    findings.stated("hand.angle", sentence)
+    return hand.model_copy(update={"angle": section})
+
+
+def _constant_direction(
+    captures: Sequence[Capture], hand: GripperSection, axes: AxesSection
+) -> float | None:
+    """Angle of a gripper whose orientation is measured, but hardly changes; None = it turns."""
+    angle, medians = hand.angle, []
+    names = [*(angle.quaternion or angle.rotation or angle.towards or ()), *(hand.columns or ())]
+    for capture in captures:
+        if angle.column is not None or not {n for n in names if n} <= set(capture.names):
+            return None
+        values = clamp_angle_rad(capture, angle, axes)
+        if values is None and angle.towards and hand.columns:
+            start, end = (places_m(capture, c, axes, 1.0) for c in (hand.columns, angle.towards))
+            values = angle_towards(start, end, angle.offset_rad)
+        known = np.empty(0) if values is None else values[np.isfinite(values)]
+        if not len(known):
+            return None
+        blocks = np.array_split(known, min(_BLOCKS, len(known)))
+        medians += [float(np.median(first_rows(known))), *(float(np.median(b)) for b in blocks)]
+    turned = np.unwrap(medians)
+    return medians[0] if np.ptp(turned) < MIN_ROTATION else None
 
 
 def _is_of_gripper(hand: GripperSection) -> bool:
@@ -198,18 +191,6 @@ def _is_of_gripper(hand: GripperSection) -> bool:
     names = [angle.column or "", *(name for columns in turning for name in columns or ())]
     words = {word for name in names for word in meaning(CapturedColumn(name)).group.split()}
     return hand.time is not None or bool(angle.follows or HAND & words)
-
-
-def _is_filler(quaternion: FloatArray, hand: str) -> bool:
-    """Whether a point not named after a gripper has no rotation in any row: programs fill it in."""
-    known = quaternion[np.isfinite(quaternion).all(axis=1)]
-    return not HAND.intersection(hand.split()) and bool(np.all(known == [0.0, 0.0, 0.0, 1.0]))
-
-
-def _offset_clause(offset_rad: float) -> str:
-    """End of a sentence about an offset; empty without one."""
-    degrees = np.degrees(offset_rad)
-    return f", turned by {degrees:.1f}° as the cable shows at rest" if offset_rad else ""
 
 
 def _is_heading(capture: Capture, inside: Contents, name: str, of: Meaning) -> bool:
@@ -227,16 +208,9 @@ def _is_heading(capture: Capture, inside: Contents, name: str, of: Meaning) -> b
     return len(known) > 0 and float(np.ptp(continuous(turned))) > MOST_RAD
 
 
-def _angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]:
-    """Columns of angles of the gripper, else those of no point."""
-    own = [(n, m) for n, m in inside.angles if hand and m.group == hand]
-    of_hand = [(n, m) for n, m in inside.angles if HAND.intersection(m.group.split())]
-    return own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
-
-
 def _column(inside: Contents, axes: AxesSection, hand: str) -> tuple[str, Meaning] | None:
     """The column of the clamp angle: the gripper's, about the normal of the plane."""
-    chosen = _angles_of_gripper(inside, hand)
+    chosen = angles_of_gripper(inside, hand)
     if len(axes.up) == 3:
         letter = "xyz"[int(np.argmax(np.abs(np.cross(axes.right, axes.up))))]
         chosen = [(n, m) for n, m in chosen if m.axis == letter] or chosen
@@ -249,7 +223,7 @@ def _column_like_root(capture: Capture, inside: Contents, root: Root) -> tuple[s
     for name, of in inside.angles:
         if of.axis or any(f"{of.group} ".startswith(point) for point in points):
             continue
-        readings = _readings(capture.column(name), name, of.unit, root)
+        readings = _readings(capture, name, of.unit, root)
         best = min(readings, key=lambda r: r.cost, default=None)
         if best and best.quarters == 0 and (best.is_measured or best.off_rad < _SAME_AT_REST):
             return name, of
@@ -264,18 +238,19 @@ def _section_of_column(
     If the root turns otherwise, an angle about an axis is none of the clamp's; one without an axis
     is taken as it is called, to be checked.
     """
-    values, unit = capture.column(name), of.unit
-    readings = _readings(values, name, unit, root)
+    unit = of.unit
+    readings = _readings(capture, name, unit, root)
     if not readings and of.axis:
         return _no_angle(name, findings)
     if not readings:
-        readings = _readings(values, name, unit, replace(root, angle_rad=np.empty(0), others=()))
+        readings = _readings(capture, name, unit, Root(np.empty(0), root.rest_rad))
         sentence = f"the cable's root does not turn by as much as {name!r}: check both"
         findings.guessed("hand.angle", sentence)
     best = min(readings, key=lambda reading: reading.cost)
     word, sign, offset = best.unit, best.sign, best.quarters * np.pi / 2.0
     needs_offset = best.off_rad > root.agrees_rad
-    all_values = [values, *(c.column(name) for c, _ in root.others if name in c.names)]
+    captures = [capture, *(e.capture for e in root.others if name in e.capture.names)]
+    all_values = [c.column(name) for c in captures]
     is_nonzero = max(float(np.nanmax(np.abs(v))) for v in all_values) * RADIANS[word] > 1e-3
     which = "positive = down" if sign > 0 else "positive = up, turned round"
     why = "the cable turns with it" if best.is_measured else "the cable's root at rest agrees best"
@@ -297,20 +272,23 @@ def _section_of_column(
     return AngleSection(column=name, radians_per_unit=factor, offset_rad=round(offset, 10) + 0.0)
 
 
-def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_Reading]:
+def _readings(capture: Capture, name: str, unit: str, root: Root) -> list[_Reading]:
     """All interpretations of a column of angles over all trials, the usual ones first."""
     readings = []
-    others = [(c.column(name), shown) for c, shown in root.others if name in c.names]
-    all_values = [values, *(v for v, _ in others)]
-    roots_rad = np.array([root.rest_rad, *(shown for _, shown in others)])
+    others = [e for e in root.others if name in e.capture.names]
+    all_values = [capture.column(name), *(e.capture.column(name) for e in others)]
+    roots_rad = np.array([root.rest_rad, *(e.first_rad for e in others)])
     largest = max(float(np.nanmax(np.abs(v))) for v in all_values)
     for word in [unit] if unit in RADIANS else ["rad", "deg"]:
         if word == "rad" and unit not in RADIANS and largest > 2.0 * np.pi:
             continue
         turned = [continuous(v * RADIANS[word]) for v in all_values]
-        rests_rad = np.array([np.nanmedian(_first(v)) for v in turned])
-        signs = _signs(turned[0], root.angle_rad, root)
-        signs = _signs(rests_rad, np.unwrap(roots_rad), root) if len(signs) == 2 else signs
+        rests_rad = np.array([np.nanmedian(first_rows(v)) for v in turned])
+
+        def angle_of_file(of: Capture, factor: float = RADIANS[word]) -> FloatArray | None:
+            return continuous(of.column(name) * factor) if name in of.names else None
+
+        signs = turn_signs(angle_of_file, capture, root)
         for sign in signs:
             for quarters in (0, -1, 1, 2):
                 apart_rad = sign * rests_rad + quarters * np.pi / 2.0 - roots_rad
@@ -320,28 +298,6 @@ def _readings(values: FloatArray, name: str, unit: str, root: Root) -> list[_Rea
     return readings
 
 
-def _signs(values: FloatArray | None, shown_rad: FloatArray, root: Root) -> tuple[float, ...]:
-    """Signs with which an angle turns as the cable's root; both if that is undetermined.
-
-    The ratio of their turns is ±1 within its uncertainty: an angle that is merely correlated with
-    the clamp's has another one.
-    """
-    if values is None or len(values) != len(shown_rad):
-        return 1.0, -1.0
-    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(shown_rad))
-    if not len(rows):
-        return 1.0, -1.0
-    blocks = np.array_split(rows, min(_BLOCKS, len(rows)))
-    x, y = (np.array([np.median(v[block]) for block in blocks]) for v in (values, shown_rad))
-    if min(np.ptp(x), np.ptp(y)) < _MIN_ROTATION:
-        return 1.0, -1.0
-    x, y = x - x.mean(), y - y.mean()
-    ratio = float(x @ y / (x @ x))
-    variance = float(np.sum((y - ratio * x) ** 2) + root.std_rad**2) / max(1, len(x) - 2)
-    limit = max(_RATIO_TOL, 3.0 * float(np.sqrt(variance / (x @ x))))
-    return tuple(sign for sign in (1.0, -1.0) if abs(ratio - sign) <= limit)
-
-
 def _no_angle(name: str, findings: ImportFindings) -> AngleSection:
     """The section that the user must fill in, for the cable's root turns otherwise."""
     sentence = f"{name!r} does not turn by as much as the cable's root: it is not the clamp angle; "
@@ -349,128 +305,12 @@ def _no_angle(name: str, findings: ImportFindings) -> AngleSection:
     return AngleSection()
 
 
-#: Names of a rotation vector, and of turns about fixed axes x, y, z.
-_VECTOR = re.compile(r"(?<![a-z])r[_ ]?[xyz](?![a-z])")
-_ROLL = re.compile("roll|pitch|yaw")
-
-
-def _section_of_three(
-    capture: Capture,
-    inside: Contents,
-    axes: AxesSection,
-    root: Root,
-    findings: ImportFindings,
-    hand: str,
-) -> AngleSection | None:
-    """Section of three angles of the gripper about x, y and z; None = there are not three, or in no
-    order the gripper turns as the cable's root.
-
-    The order is the stated one, else the usual one of such names, unless only in another one the
-    gripper turns in the plane.
-    source  Vicon Tracker, Universal Robots: RX, RY, RZ are a rotation vector; ROS REP 103: roll,
-            pitch, yaw are about fixed axes
-    """
-    found = _angles_of_gripper(inside, hand)
-    chosen = {m.axis: (n, m.unit) for n, m in reversed(found) if m.group == found[0][1].group}
-    if len(axes.up) < 3 or set(chosen) != set("xyz"):
-        return None
-    names, unit = [chosen[axis][0] for axis in "xyz"], chosen["x"][1]
-    usual = "vector" if _VECTOR.search(names[0].lower()) else "XYZ"
-    usual = "ZYX" if _ROLL.search(names[0].lower()) else usual
-    orders = [capture.order] if capture.order else sorted(ORDERS, key=lambda order: order != usual)
-    values = capture.at(names)
-    largest = np.abs(np.nan_to_num(values)).max()
-    in_rad = largest <= 2.0 * np.pi and noise_m(values) < _CURVE_STD
-    for word in [unit] if unit in RADIANS else ["rad", "deg"] if in_rad else ["deg"]:
-        factor = round(RADIANS[word], 12)
-        forms = [AngleSection.model_validate({"rotation": names, "order": order,
-                 "radians_per_unit": factor}) for order in orders]  # fmt: skip
-        if section := _section_of_body(capture, forms, axes, root, findings):
-            return section
-    return None
-
-
 def _section_of_four(
     capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
 ) -> AngleSection:
-    """Section of a quaternion whose w is last or first; to fill in if neither turns as the root."""
-    forms = [AngleSection(quaternion=[*order]) for order in (four, (*four[1:], four[0]))]
-    section = _section_of_body(capture, forms, axes, root, findings)
+    """Section of a quaternion; to fill in if it does not turn as the root."""
+    section = section_of_body(capture, forms_of_four(four), axes, root, findings)
     if section is not None and section.quaternion != [*four]:
         sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
         findings.guessed("hand.angle", sentence)
     return section or _no_angle(four[0], findings)
-
-
-def _section_of_body(
-    capture: Capture,
-    forms: Sequence[AngleSection],
-    axes: AxesSection,
-    root: Root,
-    findings: ImportFindings,
-) -> AngleSection | None:
-    """Section of the body's axis nearest to the direction in which the cable leaves the body.
-
-    forms    interpretations of its columns, the usual one first; chosen is the first in which it
-             turns in the plane, as far as the cable's root does
-    returns  None = in none it turns as far
-    """
-    sections = [_along_axis(capture, form, axes, root) for form in forms]
-    signs = [_signs(clamp_angle_rad(capture, s, axes), root.angle_rad, root) for s in sections]
-    same = [s for s, found in zip(sections, signs, strict=True) if 1.0 in found]
-    opposite = [s for s, found in zip(sections, signs, strict=True) if found and s.quaternion]
-    sections = same or opposite
-    if not sections:
-        return None
-    tilts = [_tilt_rad(capture, s, axes) for s in sections]
-    usual = tilts[0] <= _ALIKE * min(tilts) + _SMALL_TILT
-    section = sections[0 if usual else int(np.argmin(tilts))]
-    names = section.quaternion or section.rotation or []
-    how = f", in the order {section.order}" if section.order else ""
-    how = ", a rotation vector" if section.order == "vector" else how
-    sentence = f"the gripper turns as {names[0]!r} … say{how}; the cable leaves along its axis "
-    sentence += f"{section.body_axis}{_offset_clause(section.offset_rad)}"
-    findings.guessed("hand.angle", sentence)
-    if not same:
-        sentence = "it turns opposite to the cable's root: is it in other axes, or the inverse?"
-        findings.guessed("hand.angle", sentence)
-    return section
-
-
-def _tilt_rad(capture: Capture, section: AngleSection, axes: AxesSection) -> float:
-    """Root mean square of a body's rotation since its first rows, other than in the plane."""
-    quaternion = orientation(capture, section)
-    assert quaternion is not None
-    known = quaternion[np.linalg.norm(np.nan_to_num(quaternion), axis=1) > 0.5]
-    if not len(known):
-        return 0.0
-    initial = Rotation.from_quat(_first(known)).mean()
-    turn = (Rotation.from_quat(known) * initial.inv()).as_rotvec()
-    return float(np.sqrt(np.mean(np.sum((turn @ _plane(axes).T) ** 2, axis=1))))
-
-
-def _plane(axes: AxesSection) -> FloatArray:
-    """(2, 3) right and up in space."""
-    return np.array([np.append(v, 0.0)[:3] for v in (axes.right, axes.up)])
-
-
-def _first(values: FloatArray) -> FloatArray:
-    """The first rows, which show the initial value."""
-    return values[: max(1, len(values) // 20)]
-
-
-def _along_axis(
-    capture: Capture, form: AngleSection, axes: AxesSection, root: Root
-) -> AngleSection:
-    """The form with the body's axis along which the cable leaves at rest, and an offset to it."""
-    quaternion = orientation(capture, form)
-    assert quaternion is not None
-    leaving = -np.array([np.cos(root.rest_rad), np.sin(root.rest_rad)]) @ _plane(axes)
-    rows = _first(quaternion[np.isfinite(quaternion).all(axis=1)])
-    along = {n: float(np.nansum(body_axis(rows, n) @ leaving)) for n in BODY_AXES}
-    section = form.model_copy(update={"body_axis": max(BODY_AXES, key=lambda n: along[n])})
-    angle = clamp_angle_rad(capture, section, axes)
-    assert angle is not None
-    known = angle[np.isfinite(angle)]
-    offset = root.offset_rad(float(np.median(_first(known)))) if len(known) else 0.0
-    return section.model_copy(update={"offset_rad": offset})

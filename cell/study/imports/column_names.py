@@ -143,6 +143,10 @@ def meaning(column: CapturedColumn) -> Meaning:
 #: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
 _AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
 _NUMBER_AT_END = re.compile(r"(.*\w)[_:\[]([0-3])\]?")
+#: Three angles of one rotation; Mecademic's robots write them in degrees.
+_EULER = re.compile(r"(.*?)(alpha|beta|gamma)", re.IGNORECASE)
+_EULER_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
+_OF_MECADEMIC = re.compile(r"cart_?pos", re.IGNORECASE)
 #: Of columns and rows of an image.
 _OF_IMAGE = re.compile(r"((?:.*[^_\s.:])?)[_\s.:]?([uv])", re.IGNORECASE)
 #: Kinds of columns whose final number may be an axis, if nothing else names the axis.
@@ -164,9 +168,16 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
 
     A suffix is an axis if the file has x and y, or x, y and z, after one stem.  If there are no
     other coordinates, `d1_u, d1_v` are those of an image, in pixels; else those of a point may be
-    numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.
+    numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.  Alpha, beta and gamma after one stem are
+    angles of one rotation.
     """
     result = dict(meanings)
+    for stem, ends in _stems(meanings, _EULER).items():
+        if set(ends) == set(_EULER_AXES):
+            of = meaning(CapturedColumn(ends["alpha"]))
+            unit = of.unit or ("deg" if _OF_MECADEMIC.search(stem) else "")
+            for letter, name in ends.items():
+                result[name] = Meaning(ColumnKind.ANGLE, of.group, _EULER_AXES[letter], unit)
     if not any(m.kind is ColumnKind.COORDINATE for m in result.values()):
         for stem, ends in _stems(meanings, _OF_IMAGE).items():
             if set(ends) == {"u", "v"}:

@@ -19,6 +19,7 @@ from cell.study.check import Failure, failures
 from cell.study.data import Markers, Source, Study, Trial, WrenchSensor
 from cell.study.entries import MAX_LENGTH_M, datasheet_of, implausible_entries
 from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
+from cell.study.imports.angle_check import angle_problem
 from cell.study.imports.capture import Capture
 from cell.study.imports.clamp_angle import MOST_RAD
 from cell.study.imports.contents import with_names
@@ -86,6 +87,10 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
             problems.append(read.document.problem(("trials", i, "release_s"), complaint))
             continue
         refusals, remarks = _check_trial(measured, cable, arcs, mapping.gravity_m_per_s2)
+        source = rows_of(captures[entry.hand_file or entry.file], entry.only)
+        wrong_angle = angle_problem(read.of_trial(entry), measured.trial, arcs, source)
+        if wrong_angle is not None and (mapping.hand.angle.body_axis or not refusals):
+            refusals = [wrong_angle, *refusals]
         problems += refusals
         notes += [*measured.notes, *remarks]
         trials.append(measured.trial)

@@ -10,9 +10,11 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
+from cell.study.imports.body_orientation import BodyTurn, body_turn
+from cell.study.imports.cable_root import Root
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import detected_places
-from cell.study.imports.clamp_angle import Root, clamp_angle
+from cell.study.imports.clamp_angle import clamp_angle
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Contents, Point, contents
 from cell.study.imports.gripper_section import (
@@ -23,8 +25,9 @@ from cell.study.imports.gripper_section import (
     TurnsSection,
     entries_to_fill_in,
 )
+from cell.study.imports.places import ALIGNED
 from cell.study.imports.scales import time_section
-from cell.study.imports.shape import AWAY, FEWEST_REST, arc_lengths, reach_of
+from cell.study.imports.shape import AWAY, FEWEST_REST, FINAL_SHARE, arc_lengths, reach_of
 from cell.study.imports.units import METRES, RADIANS
 
 #: m/s² per unit; an unstated unit is detected by standard gravity within this share.
@@ -239,8 +242,6 @@ def first_point(
 _OUT_OF_PLANE = 0.2
 #: Tolerance of the directions of the gripper and the nearest marker, relative to their spans.
 _DIRECTION_TOL = 0.25
-#: Final share of a record whose median is a point's final position.
-_FINAL_SHARE = 0.3
 #: The nearest marker moves about as far as the gripper; a ratio above this is another unit.
 _MAX_RATIO = 5.0
 #: Units whose ratios differ by less, in logarithms, are equally likely.
@@ -267,7 +268,7 @@ def displacement(places: FloatArray) -> FloatArray:
     known = places[np.isfinite(places).all(axis=1)]
     if not len(known):
         return np.zeros(places.shape[1])
-    late = known[int((1.0 - _FINAL_SHARE) * len(known)) :]
+    late = known[int((1.0 - FINAL_SHARE) * len(known)) :]
     return np.asarray(np.median(late, axis=0) - np.median(known[:FEWEST_REST], axis=0))
 
 
@@ -303,17 +304,19 @@ def section_of_file(
         return GripperSection(angle=AngleSection(), **of_file)
     findings.guessed("hand", f"{point.name!r} of {file} is the gripping point")
     own, columns = None, list[str | None](point.columns)
+    turn = body_turn(capture, inside, point.name, root)
     if len(columns) == 1:
         columns, own, sentence = _one_axis(point.name, nearest)
         findings.guessed("hand.axes", sentence)
-    elif len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest):
-        own, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
+    elif len(point.columns) != len(axes.up) or _leaves_plane(axes, nearest, turn):
+        places = detected_places(capture, point.columns, ())
+        own, sentence = _own_axes(places, nearest, turn)
         findings.guessed("hand.axes", sentence)
     elif (own := _reversed_axes(axes, nearest)) is not None:
         sentence = "the gripper's file has its own axes: they are turned round, so that it and the "
         findings.guessed("hand.axes", f"{sentence}marker next to it move the same way")
     elif _way_off(axes, nearest) > 2.0 * _DIRECTION_TOL:
-        other, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest)
+        other, sentence = _own_axes(detected_places(capture, point.columns, ()), nearest, turn)
         if _way_off(other, nearest) < _DIRECTION_TOL:
             own = other
             findings.guessed("hand.axes", sentence)
@@ -354,11 +357,15 @@ def _unit_of_place(
     return stated, Finding("hand.metres_per_unit", sentence, Sure.MISSING)
 
 
-def _leaves_plane(axes: AxesSection, nearest: NearestMarker) -> bool:
-    """Whether the gripper moves across the markers' plane: then its file has other axes."""
+def _leaves_plane(axes: AxesSection, nearest: NearestMarker, turn: BodyTurn | None) -> bool:
+    """Whether the gripper moves across the markers' plane, or turns about another axis than its
+    normal: then its file has other axes."""
     if len(axes.up) < 3:
         return False
-    across = nearest.hand @ np.cross(axes.right, axes.up)
+    normal = np.cross(axes.right, axes.up)
+    if turn is not None and turn.across(normal) > _OUT_OF_PLANE:
+        return True
+    across = nearest.hand @ normal
     return reach(across[:, None]) > _OUT_OF_PLANE * reach(nearest.hand)
 
 
@@ -405,12 +412,15 @@ def _one_axis(name: str, nearest: NearestMarker) -> tuple[list[str | None], Axes
     return columns, AxesSection(right=plane[0].tolist(), up=plane[1].tolist()), sentence
 
 
-def _own_axes(places: FloatArray, nearest: NearestMarker) -> tuple[AxesSection, str]:
+def _own_axes(
+    places: FloatArray, nearest: NearestMarker, turn: BodyTurn | None
+) -> tuple[AxesSection, str]:
     """Right and up along the columns of a gripper whose axes are not the markers' axes.
 
     Up is the third axis of a robot; in motion capture it may be the second, if the gripper rises
-    along it as the nearest marker does.  Right is the horizontal direction in which the gripper
-    moves in any of the trials, towards the same side as that marker.
+    along it as the nearest marker does.  Right is across the axis about which the gripper
+    turns, such that it turns as the cable's root; else the horizontal direction in which the
+    gripper moves in any of the trials, towards the same side as that marker.
     """
     if places.shape[1] == 2:
         plane = AxesSection(right=[1.0, 0.0], up=[0.0, 1.0])
@@ -425,15 +435,36 @@ def _own_axes(places: FloatArray, nearest: NearestMarker) -> tuple[AxesSection, 
     towards = sum((marker[0] * hand[flat] for hand, marker in moves), np.zeros(2))
     most = sum(abs(float(marker[0])) * float(np.hypot(*hand[flat])) for hand, marker in moves)
     goes = any(np.hypot(*hand[flat]) > _ONE_AXIS * np.linalg.norm(hand) for hand, _ in moves)
-    if goes and np.hypot(*towards) > 0.5 * most:
+    goes = goes and bool(np.hypot(*towards) > 0.5 * most)
+    level = None if turn is None else _level_of_turn(turn, up)
+    if turn is not None and level is not None and (turn.signed or goes):
+        if not turn.signed and towards @ level < 0.0:
+            level = -level
+        right[flat], how = level, ", right across the axis about which it turns as the cable's root"
+    elif goes:
         right[flat] = towards / np.hypot(*towards)
     elif np.hypot(*span[flat]) <= _ONE_AXIS * span[up]:
         how = "; it only moves along that: right is its first"
+        if level is not None:
+            right[flat], how = level, "; right or left across the axis about which it turns"
     else:
         level = known[:, flat] - known[:, flat].mean(axis=0)
         right[flat] = np.linalg.svd(level, full_matrices=False)[2][0]
     rounded = [round(float(v), 7) + 0.0 for v in right]
     return AxesSection(right=rounded, up=np.eye(3)[up].tolist()), sentence + how
+
+
+def _level_of_turn(turn: BodyTurn, up: int) -> FloatArray | None:
+    """(2,) horizontal direction across the axis of a turn, along an axis of the file if it is near;
+    None = that axis is not level."""
+    right = np.cross(np.eye(3)[up], turn.normal)
+    if abs(turn.normal[up]) > _OUT_OF_PLANE:
+        return None
+    level = right[[0, 3 - up]] / np.linalg.norm(right)
+    nearest = int(np.argmax(np.abs(level)))
+    if abs(level[1 - nearest]) < ALIGNED:
+        level = np.sign(level[nearest]) * np.eye(2)[nearest]
+    return np.asarray(level)
 
 
 def _up_axis(nearest: NearestMarker) -> int:

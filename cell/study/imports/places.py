@@ -23,7 +23,7 @@ _SLIGHT_BEND = 0.02
 _HANGING = 0.9
 #: Maximum angle to the file's axes of an aligned plane, rad: half a degree changes positions in the
 #: plane by 4 parts in 100,000.
-_ALIGNED = 0.0087
+ALIGNED = 0.0087
 #: Displacements show a plane if they reach this multiple of their extent out of it.
 _PLANAR = 10.0
 _LETTERS = "XYZ"
@@ -116,10 +116,10 @@ def _right(
         level = level / np.linalg.norm(level)
         nearest = int(np.argmax(np.abs(level)))
         angle = float(np.arccos(min(1.0, abs(float(level[nearest])))))
-        if angle < _ALIGNED:
+        if angle < ALIGNED:
             level = np.zeros(3)
             level[nearest] = 1.0
-        remark = "" if angle < _ALIGNED else f", {np.degrees(angle):.3g}° from the file's axis"
+        remark = "" if angle < ALIGNED else f", {np.degrees(angle):.3g}° from the file's axis"
     towards_cable = float((shape[1:].mean(axis=0) - shape[0]) @ level)
     if towards_cable == 0.0:
         towards_cable = float(np.nanmean(places[:, 1:] - places[:, :1], axis=(0, 1)) @ level)

@@ -9,20 +9,29 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
+from cell.study.imports.cable_root import (
+    A_LINE,
+    Root,
+    RootEnds,
+    curve_to_gripper,
+    root_of_shape,
+)
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import Chosen, detected_places
-from cell.study.imports.clamp_angle import Root
 from cell.study.imports.contents import Point
 from cell.study.imports.gripper_section import AxesSection
 from cell.study.imports.places import angle_of
-from cell.study.imports.shape import arc_lengths, middle, resting, root_direction
+from cell.study.imports.shape import (
+    FINAL_SHARE,
+    arc_lengths,
+    middle,
+    resting,
+    root_direction,
+)
 from cell.study.imports.trials import Files
-from cell.study.series import wrapped
 
 #: Maximum rows of a trial in which the direction of the cable's root is estimated.
 _MAX_ROWS = 1000
-#: Number of points that determine a line without a bend; minimum for extrapolating a curve.
-A_LINE, _MIN_CURVE = 2, 3
 
 
 @dataclass(frozen=True)
@@ -86,25 +95,8 @@ def shapes_of(trials: Sequence[Files], points: Sequence[Point], chosen: Chosen) 
 
 
 def root_at_rest(scene: PlaneChain, arcs: Sequence[float | None]) -> Root:
-    """Clamp angle from the markers at rest; if the first is away from the gripper, the curve is
-    extrapolated to it.
-
-    The error is estimated by a curve without the second point: it grows with the power of the
-    distance that is the curve's order.
-    """
-    shape = scene.shape
-    is_line, error_rad = len(shape) <= A_LINE, 0.0
-    if (curve := curve_from_gripper(scene, arcs)) is not None:
-        angle = angle_of(curve(0.0, 1))
-        coarse = CubicSpline(np.delete(curve.x, 1), np.delete(shape, 1, axis=0))
-        error_rad = abs(wrapped(angle - angle_of(coarse(0.0, 1))))
-    else:
-        angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
-        if not is_line:
-            coarse_rad = angle_of(root_direction(np.delete(shape, 1, axis=0)))
-            order = min(3, len(shape) - 1)
-            error_rad = abs(wrapped(angle - coarse_rad)) / (2.0**order - 1.0)
-    return Root(np.full(1, np.nan), angle, is_line, error_rad)
+    """Clamp angle from the markers at rest."""
+    return root_of_shape(scene.shape, arcs, scene.from_gripper)
 
 
 def root_in_rows(scene: PlaneChain) -> FloatArray:
@@ -116,32 +108,41 @@ def root_in_rows(scene: PlaneChain) -> FloatArray:
     return angle
 
 
-def roots_of_others(
-    trials: Sequence[Files], chosen: Chosen, axes: AxesSection, arcs: Sequence[float | None]
-) -> tuple[tuple[Capture, float], ...]:
-    """Gripper file of each other trial, and the clamp angle from its markers at rest; trials that
-    begin in motion, or whose file has other columns, are skipped."""
-    points = [*([chosen.gripper] if chosen.gripper else []), *chosen.markers]
-    required = {name for p in points for name in p.columns}
-    roots = []
-    for files in trials[1:]:
+def root_ends(
+    trials: Sequence[Files],
+    points: Sequence[Point],
+    chosen: Chosen,
+    axes: AxesSection,
+    arcs: Sequence[float | None],
+) -> list[RootEnds | None]:
+    """The cable's root at the beginning and the end of every trial; None for those that begin in
+    motion, or whose file has other columns.
+
+    points  of the cable in the markers' files, the gripping point first where that is known
+    """
+    required, plane = {name for p in points for name in p.columns}, np.array([axes.right, axes.up])
+    ends: list[RootEnds | None] = []
+    for files in trials:
+        ends.append(None)
         if not required <= set(files.capture.names) or len(points) < A_LINE:
             continue
-        raw = detected_points(files.capture, points, chosen)
-        scene = scene_of(raw, axes, 1.0, None, chosen.gripper is not None)
-        if resting(raw) is not None and np.isfinite(scene.shape).all():
-            rest_rad = root_at_rest(scene, arcs).rest_rad
-            roots.append((files.gripper or files.capture, rest_rad))
-    return tuple(roots)
+        xy = detected_points(files.capture, points, chosen) @ plane.T
+        shapes = shape_at_rest(xy), middle(xy[int((1.0 - FINAL_SHARE) * len(xy)) :])
+        if resting(xy) is None or not np.isfinite(shapes[0]).all():
+            continue
+        from_gripper = len(points) > len(arcs)
+        roots = [root_of_shape(s, arcs, from_gripper) for s in shapes if np.isfinite(s).all()]
+        last_rad = roots[1].rest_rad if len(roots) > 1 else np.nan
+        std_rad = max(r.std_rad for r in roots)
+        source = files.gripper or files.capture
+        ends[-1] = RootEnds(source, roots[0].rest_rad, last_rad, std_rad)
+    return ends
 
 
 def curve_from_gripper(scene: PlaneChain, arcs: Sequence[float | None]) -> CubicSpline | None:
     """(2,) position against arc length, extrapolated to the gripper; None if the first marker is at
     the gripper, or there are too few markers."""
-    known = [a for a in arcs if a is not None]
-    if scene.from_gripper or len(known) < _MIN_CURVE or len(known) != len(scene.shape):
-        return None
-    return CubicSpline(known, scene.shape)
+    return curve_to_gripper(scene.shape, arcs, scene.from_gripper)
 
 
 def start_of(curve: CubicSpline) -> tuple[FloatArray, float]:

@@ -21,6 +21,8 @@ AWAY = 0.02
 OF_NOISE, STAYS = 8.0, 3
 #: Minimum number of rows at rest.
 FEWEST_REST = 5
+#: Final share of a record whose median is a point's final position.
+FINAL_SHARE = 0.3
 #: Maximum displacement of the farthest point at rest, as a multiple of its median.
 _MAX_REST = 2.0
 #: Fraction of the median distance between neighbours below which points coincide.

@@ -11,9 +11,10 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
+from cell.study.imports.cable_root import A_LINE, Root, RootEnds
 from cell.study.imports.capture import ROW_NUMBER, Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
-from cell.study.imports.clamp_angle import Root, clamp_angle, stated_angle
+from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
 from cell.study.imports.gripper_proposal import (
@@ -36,13 +37,12 @@ from cell.study.imports.gripper_section import (
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
-    A_LINE,
     PlaneChain,
     curve_from_gripper,
     detected_points,
     root_at_rest,
+    root_ends,
     root_in_rows,
-    roots_of_others,
     scene_of,
     shape_at_rest,
     shapes_of,
@@ -150,8 +150,7 @@ def _proposed(
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     stds = _arc_stds(scene, stated, arcs, findings)
-    roots = roots_of_others(trials, chosen, axes, arcs)
-    root = replace(root_at_rest(scene, arcs), others=roots)
+    root = _with_ends(root_at_rest(scene, arcs), root_ends(trials, points, chosen, axes, arcs))
     if gripper is not None:
         is_timed = time.seconds_per_unit is not None
         lasts_s = float(np.ptp(times_s(first.capture, time))) if is_timed else None
@@ -161,7 +160,8 @@ def _proposed(
         hand = _gripper(first.capture, chosen, axes, scene, root, findings)
     if gripper is not None and rest is None and start is None:
         hand = _with_origin(hand, gripper, axes, scene, arcs, scale, findings)
-    hand = stated_angle(first.capture.path, hand, stated.clamp_angle_rad, root, findings)
+    sources = [files.gripper or files.capture for files in trials]
+    hand = stated_angle(sources, hand, axes, stated.clamp_angle_rad, root, findings)
     mapping = Mapping(
         format=FORMAT,
         name=stated.name,
@@ -186,7 +186,7 @@ def _proposed(
     gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
-    _add_unused(inside, chosen, hand, first.capture, findings)
+    _add_unused((inside, first.capture), chosen, gripper, hand, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
 
@@ -213,6 +213,12 @@ def _time(
     sentence += f"each has its own rate, give --hand {name} for its gripper, too; else give "
     time = time.model_copy(update={"seconds_per_unit": None})
     return time, Finding("time", f"{sentence}time.seconds_per_unit", Sure.MISSING)
+
+
+def _with_ends(root: Root, ends: Sequence[RootEnds | None]) -> Root:
+    """The root with those at the ends of all trials, the first trial's first."""
+    others = tuple(e for e in ends[1:] if e is not None)
+    return replace(root, ends=tuple(e for e in ends if e is not None), others=others)
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
@@ -468,12 +474,14 @@ def _add_missing(mapping: Mapping, findings: ImportFindings) -> None:
 
 
 def _add_unused(
-    inside: Contents,
+    file: tuple[Contents, Capture],
     chosen: Chosen,
+    gripper: GripperFile | None,
     hand: GripperSection,
-    capture: Capture,
     findings: ImportFindings,
 ) -> None:
+    _add_unused_of_gripper(gripper, hand, findings)
+    inside, capture = file
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
     used = {n for p in points if p is not None for n in p.columns}
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
@@ -485,3 +493,23 @@ def _add_unused(
     if any(is_of_wrench(name) for name in unused):
         sentence += "; a wrench at the clamp is named as wrench: {columns: [Fx, Fy, Mz]}"
     findings.shown("unused", sentence)
+
+
+def _add_unused_of_gripper(
+    gripper: GripperFile | None, hand: GripperSection, findings: ImportFindings
+) -> None:
+    """List the angles of the gripper's file that change, but are not used.
+
+    Those from which a robot's quaternion was made are used.
+    """
+    if gripper is None:
+        return
+    capture, of_angle, inside = gripper.capture, hand.angle, gripper.inside
+    used = {of_angle.column, *(of_angle.rotation or ()), *(of_angle.quaternion or ())}
+    if any(name.endswith("quaternion x") for name in used if name):
+        return
+    names = [n for n, _ in inside.angles] + [n for _, four in inside.quaternions for n in four]
+    unused = [n for n in names if n not in used and np.nanstd(capture.column(n)) > 0.0]
+    if unused:
+        listed = first_of(unused, 8)
+        findings.shown("unused", f"not used of {capture.path.name}: columns {listed}, which change")
