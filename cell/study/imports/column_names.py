@@ -140,15 +140,17 @@ def meaning(column: CapturedColumn) -> Meaning:
     return Meaning(kind, " ".join(w for w in rest if w not in dropped), axis, unit)
 
 
-#: A name that ends with its axis, or with the number of an array's column, from 0 or from 1.
-_AXIS_AT_END = re.compile(r"(.{2,}?)([xyz])", re.IGNORECASE)
-_NUMBER_AT_END = re.compile(r"(.*\w)[_:\[]([0-3])\]?")
+#: A name that ends or begins with its axis, or ends with the number of an array's column, from 0 or
+#: from 1.
+_AXIS_AT_END = re.compile(r"(?P<stem>.{2,}?)(?P<end>[xyz])", re.IGNORECASE)
+_AXIS_AT_BEGINNING = re.compile(r"(?P<end>[xyz])(?P<stem>.{2,})", re.IGNORECASE)
+_NUMBER_AT_END = re.compile(r"(?P<stem>.*\w)[_:\[](?P<end>[0-3])\]?")
 #: Three angles of one rotation; Mecademic's robots write them in degrees.
-_EULER = re.compile(r"(.*?)(alpha|beta|gamma)", re.IGNORECASE)
+_EULER = re.compile(r"(?P<stem>.*?)(?P<end>alpha|beta|gamma)", re.IGNORECASE)
 _EULER_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
 _OF_MECADEMIC = re.compile(r"cart_?pos", re.IGNORECASE)
 #: Of columns and rows of an image.
-_OF_IMAGE = re.compile(r"((?:.*[^_\s.:])?)[_\s.:]?([uv])", re.IGNORECASE)
+_OF_IMAGE = re.compile(r"(?P<stem>(?:.*[^_\s.:])?)[_\s.:]?(?P<end>[uv])", re.IGNORECASE)
 #: Kinds of columns whose final number may be an axis, if nothing else names the axis.
 _MAYBE_NUMBERED = (ColumnKind.OTHER, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 _QUATERNION = frozenset(("quat", "quaternion", "xquat", "quats"))
@@ -160,13 +162,15 @@ _NUMBERED_AXES = {
     for count in (2, 3)
 }
 #: All quantities with an axis that are not a position.
-_NO_PLACE = _OTHER | _ACCELERATION | frozenset(("gyro", "mag", "imu", "omega", "err", "res", "ma"))
+_NO_PLACE = _OTHER | _ACCELERATION | _ANGLE
+_NO_PLACE |= frozenset(("gyro", "mag", "imu", "omega", "err", "res", "ma", "quat"))
 
 
 def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Meaning]]:
-    """The columns, with coordinates whose axis is a suffix of their name: `gripx, gripy`.
+    """The columns, with coordinates whose axis is joined to their name: `gripx, gripy`, or `xtip,
+    ytip`.
 
-    A suffix is an axis if the file has x and y, or x, y and z, after one stem.  If there are no
+    That is an axis if the file has x and y, or x, y and z, with one stem.  If there are no
     other coordinates, `d1_u, d1_v` are those of an image, in pixels; else those of a point may be
     numbered: `m1_1, m1_2`, `m1[0], m1[1]`, `m1:0, m1:1`.  Alpha, beta and gamma after one stem are
     angles of one rotation.
@@ -187,7 +191,7 @@ def with_axes_at_ends(meanings: list[tuple[str, Meaning]]) -> list[tuple[str, Me
                     result[name] = Meaning(ColumnKind.COORDINATE, group, axis, unit)
     meanings = [(name, result[name]) for name, _ in meanings]
     forms: list[tuple[re.Pattern[str], tuple[ColumnKind, ...]]]
-    forms = [(_AXIS_AT_END, (ColumnKind.OTHER,))]
+    forms = [(form, (ColumnKind.OTHER,)) for form in (_AXIS_AT_END, _AXIS_AT_BEGINNING)]
     if not any(m.kind is ColumnKind.COORDINATE for _, m in meanings):
         forms.append((_NUMBER_AT_END, _MAYBE_NUMBERED))
     for form, kinds in forms:
@@ -222,7 +226,7 @@ def _stems(
     stems: dict[str, dict[str, str]] = {}
     for name, _ in meanings:
         if match := form.fullmatch(split_unit(name)[0]):
-            stems.setdefault(match[1], {})[match[2].lower()] = name
+            stems.setdefault(match["stem"], {})[match["end"].lower()] = name
     return stems
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from cell.files.words import counted
 from cell.study.entries import MAX_ARC_STD_FRACTION, MAX_LENGTH_M
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn, Finding, Sure
 from cell.study.imports.column_names import ColumnKind, meaning
-from cell.study.imports.contents import FILM_RATES_HZ, Contents, epoch_unit
+from cell.study.imports.contents import FILM_RATES_HZ, Contents, Point, epoch_unit
 from cell.study.imports.gripper_section import TimeSection
 from cell.study.imports.shape import arc_lengths, middle, resting
 from cell.study.imports.units import METRES, SECONDS
@@ -37,6 +39,8 @@ _SAME_RATE = 0.005
 _DURATION_RATIOS = (0.5, 3.0)
 #: Times that begin later than this count from another epoch, s.
 _EPOCH_S = 1000.0
+#: Rows between the ends of columns of one rate, as a share of all rows.
+_ENDS_APART = 0.1
 
 
 def time_section(
@@ -84,6 +88,32 @@ def time_section(
 
 #: Minimum number of rows between two backward steps in time that form a separate recording.
 _RECORDING_ROWS = 5
+
+
+def time_of_markers(
+    capture: Capture,
+    inside: Contents,
+    gripper: Point | None,
+    markers: Sequence[Point],
+    rate_hz: float | None,
+) -> tuple[TimeSection, Finding]:
+    """Times and their unit; if they count rows, to be given where the gripper's columns end long
+    before or after the markers', as those of groups with a rate each do.
+    """
+    time, finding = time_section(capture, inside, rate_hz)
+    if gripper is None or not (inside.counts or time.column == ROW_NUMBER):
+        return time, finding
+    seen = [np.isfinite(capture.at(p.columns)).all(axis=1) for p in (gripper, *markers)]
+    hand, cable = (
+        int(np.flatnonzero(rows).max(initial=0)) for rows in (seen[0], np.any(seen[1:], axis=0))
+    )
+    if abs(hand - cable) <= _ENDS_APART * len(capture.values):
+        return time, finding
+    name = capture.path.name
+    sentence = f"the markers are seen in {cable + 1} rows of {name}, the gripper in {hand + 1}: if "
+    sentence += f"each has its own rate, give --hand {name} for its gripper, too; else give "
+    time = time.model_copy(update={"seconds_per_unit": None})
+    return time, Finding("time", f"{sentence}time.seconds_per_unit", Sure.MISSING)
 
 
 def times_s(capture: Capture, section: TimeSection) -> FloatArray:

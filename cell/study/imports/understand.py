@@ -12,7 +12,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
 from cell.study.imports.cable_root import A_LINE, Root, RootEnds
-from cell.study.imports.capture import ROW_NUMBER, Capture, Finding, ImportFindings, Sure
+from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
@@ -32,7 +32,6 @@ from cell.study.imports.gripper_section import (
     AngleSection,
     AxesSection,
     GripperSection,
-    TimeSection,
 )
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
@@ -52,7 +51,7 @@ from cell.study.imports.scales import (
     ROUNDED_M,
     arc_length_stds,
     metres_per_unit,
-    time_section,
+    time_of_markers,
     times_s,
 )
 from cell.study.imports.shape import arc_lengths, rest_rows
@@ -68,8 +67,6 @@ _AT_GRIPPER = 0.005
 #: Minimum share in the plane of the line between two points that show the clamp angle, and maximum
 #: ratio of its noise to its length.
 _ACROSS = 0.2
-#: Rows between the ends of columns of one rate, as a share of all rows.
-_ENDS_APART = 0.1
 #: Tolerance of the start of the curve through the markers, as a fraction of the cable's length.
 _SAME_FRAME = 0.05
 #: Maximum number of scales tried, as the root depends on them; tolerance of the last, and of a unit
@@ -131,7 +128,9 @@ def _proposed(
     _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
     check_scales([files.capture for files in trials], chosen, findings)
-    time, finding = _time(first.capture, inside, chosen, stated.rate_hz)
+    time, finding = time_of_markers(
+        first.capture, inside, chosen.gripper, chosen.markers, stated.rate_hz
+    )
     findings.insert(0, finding)
     times_s(first.capture, time)  # in disorder nothing below means anything
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
@@ -189,30 +188,6 @@ def _proposed(
     _add_unused((inside, first.capture), chosen, gripper, hand, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
-
-
-def _time(
-    capture: Capture, inside: Contents, chosen: Chosen, rate_hz: float | None
-) -> tuple[TimeSection, Finding]:
-    """Times and their unit; if they count rows, to be given where the gripper's columns end long
-    before or after the markers', as those of groups with a rate each do.
-    """
-    time, finding = time_section(capture, inside, rate_hz)
-    if chosen.gripper is None or not (inside.counts or time.column == ROW_NUMBER):
-        return time, finding
-    seen = [
-        np.isfinite(capture.at(p.columns)).all(axis=1) for p in (chosen.gripper, *chosen.markers)
-    ]
-    hand, cable = (
-        int(np.flatnonzero(rows).max(initial=0)) for rows in (seen[0], np.any(seen[1:], axis=0))
-    )
-    if abs(hand - cable) <= _ENDS_APART * len(capture.values):
-        return time, finding
-    name = capture.path.name
-    sentence = f"the markers are seen in {cable + 1} rows of {name}, the gripper in {hand + 1}: if "
-    sentence += f"each has its own rate, give --hand {name} for its gripper, too; else give "
-    time = time.model_copy(update={"seconds_per_unit": None})
-    return time, Finding("time", f"{sentence}time.seconds_per_unit", Sure.MISSING)
 
 
 def _with_ends(root: Root, ends: Sequence[RootEnds | None]) -> Root:

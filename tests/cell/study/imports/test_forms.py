@@ -150,3 +150,15 @@ def test_lines_of_names_with_values_are_rows(
     assert np.isnan(capture.values[3, -2:]).all()
     values[3, -2:] = np.nan
     np.testing.assert_allclose(capture.values, values, atol=1e-6)
+
+
+@pytest.mark.parametrize("names", [("m20", "m60", "tip"), ("20", "60", "tip")])
+def test_words_behind_x_and_y_are_points(names: tuple[str, ...], tmp_path: Path) -> None:
+    """The pair xtip, ytip was not used, and the others were stretched over the free length."""
+    m = made()
+    places = np.concatenate([m.gripper_m[:, None], m.markers_m[:, [0, 2, 4]]], axis=1) * 1e2
+    columns = ["time", "grip_x", "grip_y", *(f"{a}{n}" for n in names for a in "xy")]
+    table = tmp_path / "a.csv"
+    rows = np.column_stack([m.t_s, places.reshape(len(m.t_s), -1)])
+    table.write_text(text([columns, *rows.tolist()]))
+    assert "lengths are in cm" in run(table, "-o", tmp_path / "s", *CABLE)
