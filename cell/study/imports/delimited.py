@@ -282,8 +282,7 @@ def _raw_table(
         capture = replace(capture, values=np.vstack([capture.values, below]), lines=lines)
     rest = [row.line for row in rows[last:] if not row.blank]
     begins = "another table begins here; it is not read"
-    more = [row for row in rows[last:] if not _is_remark(row, form.decimal)]
-    if not any(goes_on(row, table[0], form.decimal) for row in more):
+    if not any(goes_on(row, table[0], form.decimal) for row in rows[last:]):
         begins = "the table ends here, for no row of numbers follows; the rest is not read"
     notes = [f"{path}:{rest[0]}: {begins}"] if rest else []
     return replace(capture, form=form).noted(*row_notes, *comment_notes, *notes), labels
@@ -376,10 +375,10 @@ def _table_range(path: Path, rows: Sequence[Row], form: TextForm) -> tuple[int, 
             break
         else:
             raise _row_error(path, rows[i])
-    labels = Counter(row.cells[0] for row in rows[first:last])
+    labels = Counter(row.cells[:1] for row in rows[first:last])
     while last > first + 1 and (
         not goes_on(rows[last - 1], rows[first], form.decimal)
-        or (_is_remark(rows[last - 1], form.decimal) and labels[rows[last - 1].cells[0]] == 1)
+        or (_is_remark(rows[last - 1], form.decimal) and labels[rows[last - 1].cells[:1]] == 1)
     ):
         last -= 1
     return first, _check_width(path, rows, first, last, form)
