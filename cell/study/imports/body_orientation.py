@@ -77,10 +77,18 @@ def angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]:
     return own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
 
 
+#: A column that states its place in a quaternion; the first form is that of `robot_poses`.
+_STATES_AXIS = re.compile(r"(?:.*\bquaternion |.*[^ ])([xyzw])")
+
+
 def forms_of_four(four: Sequence[str]) -> list[AngleSection]:
-    """Interpretations of a quaternion: w is last, or first if the names do not state it."""
+    """Interpretations of a quaternion: w is last, or first if the names do not state it.
+
+    An array without names of its columns gets letters behind its own name.
+    """
     orders = [four, (*four[1:], four[0])]
-    if all(name.lower().endswith(axis) for name, axis in zip(four, "xyzw", strict=True)):
+    named = (_STATES_AXIS.fullmatch(name.lower()) for name in four)
+    if [match and match[1] for match in named] == [*"xyzw"]:
         orders = [four]
     return [AngleSection(quaternion=[*order]) for order in orders]
 

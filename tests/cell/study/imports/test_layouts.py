@@ -467,7 +467,7 @@ def test_a_cable_that_is_straight_at_rest_hangs(down: list[float], up: list[floa
 def test_a_body_s_matrix_tells_more_than_one_of_its_three_angles(tmp_path: Path) -> None:
     m = made()
     turned = Rotation.from_euler("z", 30.0, degrees=True) * Rotation.from_euler(
-        "y", m.angle_rad[:, None]
+        "y", -m.angle_rad[:, None]
     )
     spatial = upright(places(m)) @ Rotation.from_euler("z", 30.0, degrees=True).as_matrix().T
     angles = np.degrees(turned.as_euler("xyz"))
