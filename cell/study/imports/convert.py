@@ -70,7 +70,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
     order = np.argsort(-arcs, kind="stable")
     arcs, stds = arcs[order], _arc_length_std_m(mapping, order)
     cable = _cable(read, arcs, stds, order)
-    problems: list[Problem] = []
+    problems, constants = list[Problem](), list[Problem]()
     read, estimates = with_estimates(read, captures)
     mapping = read.mapping
     notes = [*(note for capture in captures.values() for note in capture.notes), *estimates]
@@ -89,7 +89,9 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
         refusals, remarks = _check_trial(measured, cable, arcs, mapping.gravity_m_per_s2)
         source = rows_of(captures[entry.hand_file or entry.file], entry.only)
         wrong_angle = angle_problem(read.of_trial(entry), measured.trial, arcs, source)
-        if wrong_angle is not None and (mapping.hand.angle.body_axis or not refusals):
+        if wrong_angle is not None and mapping.hand.angle.constant_rad is not None:
+            constants.append(wrong_angle)
+        elif wrong_angle is not None and (mapping.hand.angle.body_axis or not refusals):
             refusals = [wrong_angle, *refusals]
         problems += refusals
         notes += [*measured.notes, *remarks]
@@ -98,7 +100,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
             message = f"is missing; `start: {entry.start}` needs the time of letting go"
             problems.append(read.document.problem(("trials", i, "release_s"), message))
     if not problems and mapping.hand.angle.constant_rad is not None:
-        problems += _rest_direction_problems(read, trials)
+        problems = _rest_direction_problems(read, trials) or constants
     if problems:
         raise InputError(problems)
     study = Study(

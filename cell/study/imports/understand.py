@@ -118,10 +118,7 @@ def _proposed(
     first = trials[0]
     inside = contents(first.capture)
     gripper = None if first.gripper is None else gripper_file(first.gripper)
-    if gripper is not None:
-        both = (inside, first.capture), (gripper.inside, gripper.capture)
-        inside = on_one_clock(*both[0], *both[1])
-        gripper = replace(gripper, inside=on_one_clock(*both[1], *both[0]))
+    inside, gripper = _on_one_clock(inside, first.capture, gripper)
     elsewhere = gripper is not None or inside.has_gripper_sensor
     captures = [files.capture for files in trials[1:]]
     stated = with_files(stated, [files.capture for files in trials], findings)
@@ -188,6 +185,17 @@ def _proposed(
     _add_unused((inside, first.capture), chosen, gripper, hand, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
+
+
+def _on_one_clock(
+    inside: Contents, capture: Capture, gripper: GripperFile | None
+) -> tuple[Contents, GripperFile | None]:
+    """Contents of the markers' file and of the gripper's, by times since 1970 if one needs it."""
+    if gripper is None:
+        return inside, None
+    both = (inside, capture), (gripper.inside, gripper.capture)
+    own = replace(gripper, inside=on_one_clock(*both[1], *both[0]))
+    return on_one_clock(*both[0], *both[1]), own
 
 
 def _with_ends(root: Root, ends: Sequence[RootEnds | None]) -> Root:
