@@ -13,7 +13,6 @@ from typer.main import get_command
 import cell
 from cell.cli import app
 from cell.settings.entries import entries
-from cell.study.checks import CHECKS
 from tools.site import references
 from tools.site.build import DOCS, prepared
 
@@ -45,7 +44,7 @@ def test_every_setting_is_in_the_reference_with_its_limits_and_default() -> None
 
 def test_every_check_and_public_name_is_in_the_reference() -> None:
     text = references.checks()
-    assert [c.name for c in CHECKS if f"`{c.name}`" not in text] == []
+    assert [c.name for c in references.DATA_CHECKS if f"`{c.name}`" not in text] == []
     text = references.api()
     assert [name for name in cell.__all__ if f"### {name}\n" not in text] == []
     assert "gravity_m_per_s2: tuple[float, float] = (0.0, -9.81)" in text

@@ -31,12 +31,21 @@ from cell.settings.entries import SettingsEntry, entries
 from cell.settings.model import Settings
 from cell.settings.plugged import PluggedArm, PluggedCamera, PluggedGripper
 from cell.settings.section import Section
-from cell.study.checks import CHECKS as DATA_CHECKS
+from cell.study.import_checks import IMPORT_NOTES, IMPORT_REFUSALS, IMPORT_SHAPE
+from cell.study.record_checks import RECORD_NOTES, STUDY_NOTES
+from cell.study.trial_checks import TRIAL_NOTES, TRIAL_REFUSALS
+from cell.study.wrench import FORCE_NOTES
 from drivers import interfaces
 from tools.shipped_settings import FAKE
 
 #: Packages whose classes and functions are described.
 OURS = ("cell", "drivers")
+_GROUPS = (
+    *(IMPORT_REFUSALS, IMPORT_SHAPE, TRIAL_REFUSALS, TRIAL_NOTES, IMPORT_NOTES),
+    *(FORCE_NOTES, RECORD_NOTES, STUDY_NOTES),
+)
+#: All checks of a study's data, without duplicates.
+DATA_CHECKS = tuple({check.name: check for group in _GROUPS for check in group}.values())
 #: Codes of warnings in files of versions before.
 _OLD_CODES = {
     "heldout_insensitive": "unconfirmed",

@@ -11,7 +11,6 @@ import pytest
 
 from cell.cable.geometry import Cable, Motion
 from cell.study.check import DataCheck, failures
-from cell.study.checks import CHECKS
 from cell.study.data import Markers, Trial
 from cell.study.facts import trial_facts
 from cell.study.import_checks import (
@@ -25,6 +24,7 @@ from cell.study.import_checks import (
 from cell.study.record_checks import RECORD_NOTES, STUDY_NOTES, TrialRecord
 from cell.study.trial_checks import TRIAL_NOTES, TRIAL_REFUSALS, TrialEvidence
 from cell.study.wrench import FORCE_NOTES, FORCE_REFUSALS
+from tools.site.references import DATA_CHECKS
 
 #: Where the rows' sentences are filled in by; of these every name must be one of the failure's.
 GROUPS = (
@@ -49,12 +49,12 @@ def evidence() -> TrialEvidence:
 
 
 def test_every_check_has_its_own_name_and_is_in_a_group() -> None:
-    names = [check.name for check in CHECKS]
+    names = [check.name for check in DATA_CHECKS]
     assert len(set(names)) == len(names)
     assert {check.name for group in GROUPS for check in group} == set(names)
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+@pytest.mark.parametrize("check", DATA_CHECKS, ids=lambda check: check.name)
 def test_a_row_says_what_is_asked_where_its_limit_is_and_what_to_do(check: DataCheck) -> None:
     assert check.question.endswith("?") and check.statistic and check.limit
     assert check.remedy or check.name in ("wide", "no_swing")
@@ -104,7 +104,7 @@ CHANGES = {
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_no_cable_does_fails_the_check_of_its_name(name: str) -> None:
     found = with_places(CHANGES[name])
-    (check,) = [c for c in CHECKS if c.name == name]
+    (check,) = [c for c in DATA_CHECKS if c.name == name]
     group = TRIAL_NOTES if check.outcome == "noted" else TRIAL_REFUSALS
     failed = [c.name for c in group if c.failure(found) is not None]
     assert failed and failed[0] == name
