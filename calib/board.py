@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -84,13 +84,7 @@ class Board:
         return self.columns * self.square_m, self.rows * self.square_m
 
     def black_m(self) -> FloatArray:
-        """(P, 4, 2) corners of the black rectangles, x and y in the board's frame, m."""
-        x0, y0, x1, y1 = self.black_boxes_m().T
-        corners_m = [np.stack(p, axis=1) for p in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
-        return np.stack(corners_m, axis=1)
-
-    def black_boxes_m(self) -> FloatArray:
-        """(P, 4) black rectangles: least and greatest x and y, in the order x, y, x, y, m."""
+        """(P, 4, 2) black rectangles of the pattern, x and y in the board's frame, m."""
         side, marker = self.square_m, self.marker_share * self.square_m
         margin = 0.5 * (side - marker)
         dictionary = self.pattern.getDictionary()
@@ -112,7 +106,9 @@ class Board:
                     for first, last in _runs(line == 0):
                         x, y = left + margin, top + margin + j * step
                         boxes.append((x + first * step, y, x + last * step, y + step))
-        return np.array(boxes)
+        x0, y0, x1, y1 = np.array(boxes).T
+        corners_m = [np.stack(p, axis=1) for p in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+        return np.stack(corners_m, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +183,7 @@ def _check_pattern(image: Image, board: Board, name: str, marker_ids: Any) -> No
             "switch mirroring off in the camera, or look at the board itself, not in a mirror",
         )
     if ids.size >= 6:
-        other = replace(board, legacy=not board.legacy)
+        other = Board(**{**_described(board), "legacy": not board.legacy})
         swapped = cv2.aruco.CharucoDetector(other.pattern).detectBoard(image)[1]
         hint = (
             f"set the board's `legacy` to {not board.legacy}"
@@ -203,6 +199,11 @@ def _check_pattern(image: Image, board: Board, name: str, marker_ids: Any) -> No
                 f"{name}: shows markers of dictionary {other_name}, not {board.dictionary}",
                 "describe the board as it is, or show the other one",
             )
+
+
+def _described(board: Board) -> dict[str, Any]:
+    names = ("columns", "rows", "square_m", "marker_share", "dictionary", "legacy")
+    return {name: getattr(board, name) for name in names}
 
 
 def _runs(line: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -222,7 +223,7 @@ def board_pdf(board: Board) -> bytes:
     page = (width + 2 * _MARGIN_M + _RULER_M, height + 2 * _MARGIN_M + 2 * _RULER_M)
     left, top = _MARGIN_M, page[1] - _MARGIN_M
     parts = ["0 g"]
-    for x0, y0, x1, y1 in board.black_boxes_m():
+    for x0, y0, x1, y1 in _boxes(board.black_m()):
         parts.append(_rectangle(left + x0, top - y1, x1 - x0, y1 - y0))
     bottom = top - height - 0.003
     across = 0.01 * np.arange(int(width / 0.01 + 1e-6) + 1)
@@ -244,6 +245,10 @@ def board_pdf(board: Board) -> bytes:
     parts.append(_text(left, bottom - 0.008, words))
     parts.append(_text(left, bottom - 0.012, check))
     return _document("\n".join(parts), page)
+
+
+def _boxes(corners_m: np.ndarray) -> np.ndarray:
+    return np.concatenate([corners_m.min(axis=1), corners_m.max(axis=1)], axis=1)
 
 
 def _rectangle(x: float, y: float, width: float, height: float) -> str:

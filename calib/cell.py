@@ -218,17 +218,23 @@ def fit_cell(
     _check_at_rest(shown)  # a bent plate's marks are no circles either
     covariance = fit.covariance.copy()
     covariance[MARK, MARK][5, 5] += (_DEPTH_PER_BEND * bend_m) ** 2
-    X_BP = plane_in_base(x, home, gravity.up, in_plane)
     return CellFit(
         x,
         covariance,
         view_of(x, home, gravity.up, in_plane),
-        X_BP,
+        plane_in_base(x, home, gravity.up, in_plane),
         pose(x[MARK]),
         pose(x[CAMERA]),
         within,
         float(np.sqrt(max(0.0, common**2 - within**2 / len(marks_m)))),
-        _held_out(x, [centred(o, x, marks_m, radius_m) for o in held_out], marks_m, X_BP),
+        _held_out(
+            x,
+            [centred(o, x, marks_m, radius_m) for o in held_out],
+            marks_m,
+            home,
+            gravity.up,
+            in_plane,
+        ),
         plain,
         (1.0 + float(x[SCALE]), float(np.sqrt(covariance[SCALE, SCALE]))),
         home,
@@ -293,21 +299,28 @@ def _scatter(by_pose: FloatArray, used: NDArray[np.bool_]) -> tuple[float, float
 
 
 def _held_out(
-    x: FloatArray, shown: Sequence[JawObservation], marks_m: FloatArray, X_BP: FloatArray
+    x: FloatArray,
+    shown: Sequence[JawObservation],
+    marks_m: FloatArray,
+    home: FloatArray,
+    up: FloatArray,
+    in_plane: bool,
 ) -> FloatArray:
     """(H, 2) errors of the map, m, at the marks of held-out poses."""
     if not shown:
         return np.empty((0, 2))
-    X_CP, X_PB = pose(x[CAMERA]) @ X_BP, np.linalg.inv(X_BP)
+    X_CP = pose(x[CAMERA]) @ plane_in_base(x, home, up, in_plane)
+    X_PB = np.linalg.inv(plane_in_base(x, home, up, in_plane))
     lens = Lens.of(x[LENS])
     in_mark = np.column_stack([places_m(x, marks_m), np.ones(len(marks_m))])
     errors = []
     for view in shown:
         in_plane_m = (in_mark @ (X_PB @ view.X_BT @ pose(x[MARK])).T)[:, :3]
         # the line of sight of each pixel, at the depth at which the mark is
+        lifted = X_CP.copy()
         rays = (lens.ideal(view.pixels) - [lens.cx_px, lens.cy_px]) / [lens.fx_px, lens.fy_px]
-        ways = np.column_stack([rays, np.ones(len(rays))]) @ X_CP[:3, :3]
-        eye = -X_CP[:3, :3].T @ X_CP[:3, 3]
+        ways = np.column_stack([rays, np.ones(len(rays))]) @ lifted[:3, :3]
+        eye = -lifted[:3, :3].T @ lifted[:3, 3]
         reach = (in_plane_m[:, 2] - eye[2]) / ways[:, 2]
         errors.append((eye + reach[:, None] * ways - in_plane_m)[:, :2])
     return np.concatenate(errors)

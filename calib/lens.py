@@ -55,14 +55,18 @@ class Lens:
 
     def distorted(self, ideal_px: FloatArray) -> FloatArray:
         """(…, 2) ideal pixels → (…, 2) pixels of the picture."""
-        ideal = np.asarray(ideal_px, dtype=np.float64)
-        return np.stack(distorted(self.numbers, ideal[..., 0], ideal[..., 1]), axis=-1)
+        return distort(self.numbers, np.asarray(ideal_px, dtype=np.float64))
 
     def ideal(self, pixels: FloatArray) -> FloatArray:
         """(…, 2) pixels of the picture → (…, 2) ideal pixels; nan where there is none."""
         pixels = np.asarray(pixels, dtype=np.float64)
         flat = np.ascontiguousarray(pixels.reshape(-1, 2))
         return np.asarray(_all_undistorted(self.numbers, flat)).reshape(pixels.shape)
+
+
+def distort(numbers: FloatArray, ideal_px: FloatArray) -> FloatArray:
+    """(…, 2) ideal pixels → (…, 2) pixels, for the (9,) numbers of a lens."""
+    return np.stack(distorted(numbers, ideal_px[..., 0], ideal_px[..., 1]), axis=-1)
 
 
 def distorted(numbers: FloatArray, column: Any, row: Any) -> tuple[Any, Any]:
@@ -126,12 +130,29 @@ def project(numbers: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatA
     points   (N, 3) in the camera's frame, m
     returns  (N, 2) pixels, (N, 2, 3) derivatives by the points, (N, 2, 9) by the numbers
     """
-    fx, fy, cx, cy = numbers[:4]
-    matrix, at_rest = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.zeros(3)
-    pixels, jacobian = cv2.projectPoints(points, at_rest, at_rest, matrix, numbers[4:])
-    # by a rotation, a shift, which is as one of the points, and the numbers of the lens
-    by = np.asarray(jacobian, dtype=np.float64).reshape(len(points), 2, -1)
-    return np.asarray(pixels, dtype=np.float64)[:, 0], by[:, :, 3:6], by[:, :, 6:15]
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
+    z = points[:, 2]
+    x, y = points[:, 0] / z, points[:, 1] / z
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    b = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    by_point = np.empty((len(points), 2, 3))
+    by_point[:, 0, 0], by_point[:, 0, 1] = fx * a / z, fx * b / z
+    by_point[:, 1, 0], by_point[:, 1, 1] = fy * b / z, fy * d / z
+    by_point[:, :, 2] = -(by_point[:, :, 0] * x[:, None] + by_point[:, :, 1] * y[:, None])
+    by_lens = np.zeros((len(points), 2, 9))
+    by_lens[:, 0, 0], by_lens[:, 1, 1] = u, v
+    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
+    for column, power in ((4, r2), (5, r2 * r2), (8, r2 * r2 * r2)):
+        by_lens[:, 0, column], by_lens[:, 1, column] = fx * x * power, fy * y * power
+    by_lens[:, 0, 6], by_lens[:, 1, 6] = fx * 2.0 * x * y, fy * (r2 + 2.0 * y * y)
+    by_lens[:, 0, 7], by_lens[:, 1, 7] = fx * (r2 + 2.0 * x * x), fy * 2.0 * x * y
+    return np.stack([fx * u + cx, fy * v + cy], axis=1), by_point, by_lens
 
 
 def rotation(vector: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -41,33 +41,22 @@ def camera_latency(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Tr
     gripper_log  measured poses, times on the cell's clock, from before the first to after the last
     raises    TooFewError, OneSidedError, MisfitError
     """
-    stamps_s, detected_m = _detected(stamps_s, detected_m)
-    _check_speed(gripper_log)
-    residuals = _latency_residuals(stamps_s, detected_m, gripper_log.t_s, _smooth(gripper_log))
-    return _delay(residuals, -_LONGEST_S, _LONGEST_S, "camera")
-
-
-def _detected(stamps_s: FloatArray, detected_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Stamps and places of the frames in which the jaw was detected.  Raises TooFewError."""
     keep = np.all(np.isfinite(detected_m), axis=1)
-    if np.count_nonzero(keep) < LEAST_FRAMES:
+    stamps_s, detected_m = stamps_s[keep], detected_m[keep]
+    if len(stamps_s) < LEAST_FRAMES:
         raise TooFewError(
-            f"the jaw was found in {np.count_nonzero(keep)} of at least {LEAST_FRAMES} frames",
+            f"the jaw was found in {len(stamps_s)} of at least {LEAST_FRAMES} frames",
             "see that its marks are lit and in the picture during the whole motion",
         )
-    return stamps_s[keep], detected_m[keep]
-
-
-def _latency_residuals(
-    stamps_s: FloatArray, detected_m: FloatArray, t_s: FloatArray, logged_m: FloatArray
-) -> Callable[[float], FloatArray]:
-    """Function from a latency, s, to its residuals (N, 2), m."""
+    _check_speed(gripper_log)
+    logged_m = _smooth(np.stack([gripper_log.x_m, gripper_log.y_m], axis=1), gripper_log.t_s)
 
     def residuals(delay_s: float) -> FloatArray:
-        difference_m = detected_m - _at(t_s, logged_m, stamps_s - delay_s)
+        expected_m = _at(gripper_log.t_s, logged_m, stamps_s - delay_s)
+        difference_m = detected_m - expected_m
         return np.asarray(difference_m - difference_m.mean(axis=0), dtype=np.float64)
 
-    return residuals
+    return _delay(residuals, -_LONGEST_S, _LONGEST_S, "camera")
 
 
 def arm_lag(commanded: Trajectory, gripper_log: Trajectory) -> Delay:
@@ -84,15 +73,15 @@ def arm_lag(commanded: Trajectory, gripper_log: Trajectory) -> Delay:
 def _lag_residuals(commanded: Trajectory, gripper_log: Trajectory) -> Callable[[float], FloatArray]:
     """Function from a lag, s, to its residuals (N, 2), m."""
     start = gripper_log.at(float(commanded.t_s[0]))
-    measured = _places(gripper_log)
+    measured = np.stack([gripper_log.x_m, gripper_log.y_m], axis=1)
     keep = gripper_log.t_s >= commanded.t_s[0]
 
     def residuals(lag_s: float) -> FloatArray:
         if lag_s < 0.0:  # impossible, but continued symmetrically for the derivative at 0
             return np.asarray(2.0 * residuals(0.0) - residuals(-lag_s))
         response = servo_response(commanded, lag_s, start=start)
-        expected = _at(response.t_s, _places(response), gripper_log.t_s[keep])
-        return np.asarray(measured[keep] - expected)
+        path = np.stack([response.x_m, response.y_m], axis=1)
+        return np.asarray(measured[keep] - _at(response.t_s, path, gripper_log.t_s[keep]))
 
     return residuals
 
@@ -102,9 +91,17 @@ def latency_change(stamps_s: FloatArray, detected_m: FloatArray, gripper_log: Tr
 
     It runs in milliseconds; arguments and errors as `camera_latency`, without MisfitError.
     """
-    stamps_s, detected_m = _detected(stamps_s, detected_m)
-    places = _places(gripper_log)
-    return _gauss_newton(_latency_residuals(stamps_s, detected_m, gripper_log.t_s, places), 0.0)
+    keep = np.all(np.isfinite(detected_m), axis=1)
+    stamps_s, detected_m = stamps_s[keep], detected_m[keep]
+    if len(stamps_s) < LEAST_FRAMES:
+        raise TooFewError(f"the jaw was found in {len(stamps_s)} frames", "light its marks")
+    logged_m = np.stack([gripper_log.x_m, gripper_log.y_m], axis=1)
+
+    def residuals(delay_s: float) -> FloatArray:
+        difference_m = detected_m - _at(gripper_log.t_s, logged_m, stamps_s - delay_s)
+        return np.asarray(difference_m - difference_m.mean(axis=0), dtype=np.float64)
+
+    return _gauss_newton(residuals, 0.0)
 
 
 def lag_change(commanded: Trajectory, gripper_log: Trajectory, lag_s: float) -> Delay:
@@ -167,23 +164,17 @@ def _with_interval(residuals: Callable[[float], FloatArray], value_s: float) -> 
     return Delay(value_s, float(student_quantile(max(5, len(score) // 4), 0.975) * spread_s), rms)
 
 
-def _smooth(path: Trajectory) -> FloatArray:
-    """(T, 2) measured places without noise, which would favour delays that put frames between them.
+def _smooth(values: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Measured poses without their noise, which would favour delays that put frames between them.
 
     source  Savitzky & Golay 1964: cubics over `_SMOOTHED_S`
     """
     from scipy.signal import savgol_filter  # half a second, needed for a calibration only
 
-    values = _places(path)
-    count = 2 * round(0.5 * _SMOOTHED_S / float(np.median(np.diff(path.t_s)))) + 1
+    count = 2 * round(0.5 * _SMOOTHED_S / float(np.median(np.diff(t_s)))) + 1
     if count < 5 or len(values) < count:
         return values
     return np.asarray(savgol_filter(values, count, 3, axis=0), dtype=np.float64)
-
-
-def _places(path: Trajectory) -> FloatArray:
-    """(T, 2) x and y, m."""
-    return np.stack([path.x_m, path.y_m], axis=1)
 
 
 def _at(t_s: FloatArray, values: FloatArray, when_s: FloatArray) -> FloatArray:
@@ -192,7 +183,7 @@ def _at(t_s: FloatArray, values: FloatArray, when_s: FloatArray) -> FloatArray:
 
 def _check_speed(gripper_log: Trajectory) -> None:
     t_s = np.arange(gripper_log.t_s[0], gripper_log.t_s[-1], 0.02)
-    places = _at(gripper_log.t_s, _places(gripper_log), t_s)
+    places = _at(gripper_log.t_s, np.stack([gripper_log.x_m, gripper_log.y_m], axis=1), t_s)
     speed = float(np.linalg.norm(np.diff(places, axis=0), axis=1).max(initial=0.0) / 0.02)
     if speed < LEAST_SPEED_M_PER_S:
         raise OneSidedError(

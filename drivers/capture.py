@@ -11,7 +11,6 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -25,15 +24,7 @@ from drivers.interfaces import (
     Frame,
 )
 from drivers.priority import raise_thread
-from drivers.recording import (
-    DEVICE,
-    LOST_REMEDY,
-    SLOW_REMEDY,
-    ArrivedShot,
-    CaptureOptions,
-    FrameSequence,
-    Shot,
-)
+from drivers.recording import SLOW_REMEDY, ArrivedShot, CaptureOptions, FrameSequence, Shot
 from drivers.threads import GuardedThread, error_text
 
 _LOG = logging.getLogger(__name__)
@@ -42,6 +33,7 @@ _LOG = logging.getLogger(__name__)
 _PRIORITY = 8
 _LEAST_PERIODS = 3.0  # of silence before a camera is lost
 _WAKING_S = 0.002
+_LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 
 class FrameSource(Protocol):
@@ -73,14 +65,14 @@ class StreamingCamera:
                  camera once it is open.
     """
 
-    name = DEVICE
-
     def __init__(
         self,
         open_source: Callable[[], FrameSource],
         options: CaptureOptions,
         clock: Clock,
+        name: str = "camera",
     ) -> None:
+        self.name = name
         self._open_source = open_source
         self._options = options
         self._clock = clock
@@ -100,7 +92,7 @@ class StreamingCamera:
     def connect(self) -> None:
         """Open the camera and check that pictures arrive.  Raises ConnectError."""
         self.close()
-        stream = _Stream(self._open_source, self._options, self._clock)
+        stream = _Stream(self._open_source, self._options, self._clock, self.name)
         try:
             self._rate_hz = stream.settle()
         except DeviceError:
@@ -150,17 +142,19 @@ class _Stream:
         open_source: Callable[[], FrameSource],
         options: CaptureOptions,
         clock: Clock,
+        device: str,
     ) -> None:
         self._open_source = open_source
         self._options = options
         self._clock = clock
+        self._device = device
         self._changed = threading.Condition()
         self._quit = threading.Event()
         self._rate_hz: float | None = None
         self._recent: deque[ArrivedShot] = deque(maxlen=max(2, options.settle_frames))
         self._error: DeviceError | None = None
         self._recording: FrameSequence | None = None
-        self._thread = GuardedThread(DEVICE, self._run, self._died)
+        self._thread = GuardedThread(device, self._run, self._died)
         self._thread.start()
 
     # --- the thread ---------------------------------------------------------------------------
@@ -184,7 +178,7 @@ class _Stream:
 
     def _died(self, error: BaseException) -> None:
         """Report an uncaught error of the camera library as the loss of the camera."""
-        self._fail(DeviceLostError(DEVICE, error_text(error), LOST_REMEDY))
+        self._fail(DeviceLostError(self._device, error_text(error), _LOST_REMEDY))
 
     def _wanted(self) -> bool:
         recording = self._recording
@@ -192,7 +186,7 @@ class _Stream:
 
     def _store(self, arrived: ArrivedShot) -> None:
         with self._changed:
-            self._recent.append(replace(arrived, shot=replace(arrived.shot, image=None)))
+            self._recent.append(ArrivedShot(_without_image(arrived.shot), arrived.arrived_s))
             recording = self._recording
             if recording is not None and not recording.complete:
                 recording.take(arrived)
@@ -211,7 +205,8 @@ class _Stream:
         self._quit.set()
         with self._changed:
             self._recording = None
-        self._thread.join(wait_s)
+        if wait_s > 0.0:
+            self._thread.join(wait_s)
 
     def settle(self) -> float:
         """Wait until pictures come at the camera's rate; that rate, Hz.  Raises ConnectError."""
@@ -219,8 +214,7 @@ class _Stream:
         with self._changed:
             while True:
                 if self._error is not None:
-                    error = self._error
-                    raise ConnectError(DEVICE, error.cause, error.remedy) from error
+                    raise _as_connect_error(self._error)
                 measured_hz = self._measured_hz()
                 if self._rate_hz is not None and measured_hz is not None:
                     departure = abs(measured_hz / self._rate_hz - 1.0)
@@ -251,6 +245,7 @@ class _Stream:
                 origin_s,
                 self._rate_hz,
                 self._options,
+                self._device,
             )
 
     def read(self) -> Frame | None:
@@ -283,15 +278,15 @@ class _Stream:
         """Seconds that the next picture may still take.  Raises DeviceLostError."""
         if self._error is not None:
             cause, remedy = self._error.cause, self._error.remedy
-            raise DeviceLostError(DEVICE, cause, remedy or LOST_REMEDY)
+            raise DeviceLostError(self._device, cause, remedy or _LOST_REMEDY)
         assert self._rate_hz is not None
         allowed_s = max(self._options.lost_after_s, _LEAST_PERIODS / self._rate_hz) + overslept_s
         silent_s = self._clock.now_s() - self._recent[-1].arrived_s
         if silent_s > allowed_s:
             raise DeviceLostError(
-                DEVICE,
+                self._device,
                 f"no picture came for {silent_s:.3f} s, allowed {allowed_s:.3f} s",
-                LOST_REMEDY,
+                _LOST_REMEDY,
             )
         return allowed_s - silent_s + 1e-3
 
@@ -311,14 +306,24 @@ class _Stream:
         waited = f"within {self._options.connect_s:.1f} s"
         if self._rate_hz is None:
             return ConnectError(
-                DEVICE, f"it did not open {waited}", "check address, cable and power"
+                self._device, f"it did not open {waited}", "check address, cable and power"
             )
         if measured_hz is None:
             return ConnectError(
-                DEVICE, f"only {len(self._recent)} pictures came {waited}", LOST_REMEDY
+                self._device, f"only {len(self._recent)} pictures came {waited}", _LOST_REMEDY
             )
         return ConnectError(
-            DEVICE,
+            self._device,
             f"slow or uneven: {measured_hz:.1f} Hz measured, {self._rate_hz:.1f} Hz expected",
             SLOW_REMEDY,
         )
+
+
+def _as_connect_error(error: DeviceError) -> ConnectError:
+    if isinstance(error, ConnectError):
+        return error
+    return ConnectError(error.device, error.cause, error.remedy)
+
+
+def _without_image(shot: Shot) -> Shot:
+    return Shot(None, shot.stamp_s, shot.number)

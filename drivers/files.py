@@ -38,14 +38,14 @@ class FilesCamera:
                    frame of a `start` is exposed now, and the others come after their own delays
     """
 
-    name = "camera"
-
     def __init__(
         self,
         folder: FilePath,
         frame_rate_hz: float | None = None,
         clock: Clock | None = None,
+        name: str = "camera",
     ) -> None:
+        self.name = name
         self._folder = folder
         self._default_rate_hz = frame_rate_hz
         self._clock = clock

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -19,8 +19,7 @@ import numpy as np
 from drivers.capture import StreamingCamera
 from drivers.installing import install_extra
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import DEVICE, LOST_REMEDY, SETTING_TOLERANCE, CameraSettings, Shot
-from drivers.threads import error_text
+from drivers.recording import CaptureOptions, Shot, check_settings
 
 _FETCH_S = 0.2
 _BUFFERS = 32
@@ -29,29 +28,40 @@ _LARGEST_ID = 65_535
 
 
 @dataclass(frozen=True)
-class GenicamOptions(CameraSettings):
-    """Choice and settings of a camera.
+class GenicamOptions:
+    """Choice and settings of a camera; every value is read back.
 
     producer       the maker's GenTL producer, *.cti
     serial_number  None = the only camera
+    exposure_s     None = unchanged
     """
 
     producer: FilePath
     serial_number: str | None = None
+    width_px: int = 1280
+    height_px: int = 1024
+    frame_rate_hz: float = 200.0
+    exposure_s: float | None = 0.0005
+    setting_tolerance: float = 0.05
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
+
+    def __post_init__(self) -> None:
+        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
 
 
 class GenicamCamera(StreamingCamera):
     """An industrial camera through its maker's GenTL producer."""
 
-    def __init__(self, options: GenicamOptions, clock: Clock) -> None:
-        super().__init__(lambda: _GenicamSource(options), options.capture, clock)
+    def __init__(self, options: GenicamOptions, clock: Clock, name: str = "camera") -> None:
+        super().__init__(lambda: _GenicamSource(options, name), options.capture, clock, name)
 
 
 class _GenicamSource:
     """An acquiring camera with the requested settings."""
 
-    def __init__(self, options: GenicamOptions) -> None:
+    def __init__(self, options: GenicamOptions, device: str) -> None:
         self._options = options
+        self._device = device
         self._closers: list[Callable[[], None]] = []
         self._number = 0  # of pictures, counted on beyond the camera's 16 bits
         self._last_id: int | None = None
@@ -79,7 +89,11 @@ class _GenicamSource:
         except CameraError:
             raise
         except Exception as error:  # the library's own exceptions have no common base
-            raise DeviceLostError(DEVICE, error_text(error), LOST_REMEDY) from error
+            raise DeviceLostError(
+                self._device,
+                f"{type(error).__name__}: {error}",
+                "check the camera's cable and power, then connect again",
+            ) from error
 
     def close(self) -> None:
         """Stop and release, in the reverse order of opening, ignoring errors of a lost camera."""
@@ -97,7 +111,7 @@ class _GenicamSource:
             from harvesters.core import Harvester
         except ImportError as error:
             raise ConnectError(
-                DEVICE,
+                self._device,
                 f"GenICam is not installed ({error})",
                 install_extra("genicam"),
             ) from error
@@ -105,7 +119,7 @@ class _GenicamSource:
         self._closers.append(harvester.reset)
         if not options.producer.is_file():
             raise ConnectError(
-                DEVICE,
+                self._device,
                 f"{options.producer} does not exist",
                 "install the maker's GenTL producer and give its .cti file",
             )
@@ -116,7 +130,7 @@ class _GenicamSource:
             wanted = options.serial_number
             if len(serials) != 1 if wanted is None else serials.count(wanted) != 1:
                 raise ConnectError(
-                    DEVICE,
+                    self._device,
                     f"{options.producer.name} finds the cameras {', '.join(serials) or 'none'}, "
                     f"wanted is {wanted or 'the only one'}",
                     "check cable, power and network address, and give its serial number",
@@ -126,8 +140,8 @@ class _GenicamSource:
             raise
         except Exception as error:
             raise ConnectError(
-                DEVICE,
-                f"it does not open: {error_text(error)}",
+                self._device,
+                f"it does not open: {type(error).__name__}: {error}",
                 "check whether another program has it, and the producer",
             ) from error
         self._closers.append(acquirer.destroy)
@@ -156,19 +170,19 @@ class _GenicamSource:
         try:
             getattr(nodes, name).value = value
         except Exception as error:
-            why = f": {error_text(error)}".rstrip(": ")
+            why = f": {type(error).__name__}: {error}".rstrip(": ")
         try:
             actual = getattr(nodes, name).value
         except Exception:
             actual = None
         if isinstance(value, float) and isinstance(actual, int | float):
-            accepted = abs(actual - value) <= SETTING_TOLERANCE * value
+            accepted = abs(actual - value) <= self._options.setting_tolerance * value
         else:
             accepted = actual == value
         if not accepted:
             has = "has no such feature" if actual is None else f"has {actual}"
             raise ConnectError(
-                DEVICE,
+                self._device,
                 f"{name} = {value} refused, the camera {has}{why}",
                 "ask for what the camera can do",
             )
@@ -184,11 +198,11 @@ class _GenicamSource:
         return self._number
 
     def _image(self, component: Any) -> Image:
-        shape = self._options.shape
+        shape = (self._options.height_px, self._options.width_px)
         actual = (int(component.height), int(component.width))
         if actual != shape or component.data_format != _PIXELS:
             raise CameraError(
-                DEVICE,
+                self._device,
                 f"a {component.data_format} picture of shape {actual} came, {_PIXELS} of {shape} "
                 "expected",
                 "connect again",

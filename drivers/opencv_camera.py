@@ -11,7 +11,7 @@ source  OpenCV, videoio flags; Linux, V4L2_CID_EXPOSURE_AUTO (1 = manual) and
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.capture import StreamingCamera
 from drivers.interfaces import CameraError, Clock, ConnectError, DeviceLostError, Image
-from drivers.recording import DEVICE, LOST_REMEDY, SETTING_TOLERANCE, CameraSettings, Shot
+from drivers.recording import CaptureOptions, Shot, check_settings
 
 _MANUAL = 1.0
 _EXPOSURE_UNIT_S = 100e-6
@@ -28,21 +28,29 @@ _SETTINGS_REMEDY = "ask for what the camera can do: `v4l2-ctl --list-formats-ext
 
 
 @dataclass(frozen=True)
-class OpenCvOptions(CameraSettings):
-    """Choice and settings of a camera; a stream has no exposure.
+class OpenCvOptions:
+    """Choice and settings of a camera.
 
     device         number or path of a Video4Linux device, or the URL of a stream
+    frame_rate_hz  requested and read back; likewise width_px and height_px
+    exposure_s     manual exposure, set and read back; None = unchanged (a stream has none)
     fourcc         pixel format, e.g. GREY, YUYV, MJPG; None = unchanged.  GREY and YUYV are exact
     stamps         source of timestamps: the `device`, or the `arrival` of the pictures,
                    which carries the jitter of this computer and hides a missing picture
     """
 
     device: int | str = 0
+    width_px: int = 1280
+    height_px: int = 1024
+    frame_rate_hz: float = 200.0
+    exposure_s: float | None = 0.0005
     fourcc: str | None = None
     stamps: Literal["device", "arrival"] = "device"
+    setting_tolerance: float = 0.05
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        check_settings(self.width_px, self.height_px, self.frame_rate_hz, self.exposure_s)
         if self.fourcc is not None and len(self.fourcc) != 4:
             raise ValueError(f"camera.fourcc = {self.fourcc!r}: must be four characters")
 
@@ -55,16 +63,17 @@ class OpenCvOptions(CameraSettings):
 class OpenCvCamera(StreamingCamera):
     """A camera through OpenCV's VideoCapture."""
 
-    def __init__(self, options: OpenCvOptions, clock: Clock) -> None:
-        super().__init__(lambda: _OpenCvSource(options), options.capture, clock)
+    def __init__(self, options: OpenCvOptions, clock: Clock, name: str = "camera") -> None:
+        super().__init__(lambda: _OpenCvSource(options, name), options.capture, clock, name)
 
 
 class _OpenCvSource:
     """An open VideoCapture with the requested settings."""
 
-    def __init__(self, options: OpenCvOptions) -> None:
+    def __init__(self, options: OpenCvOptions, device: str) -> None:
         self._options = options
-        self._capture = _open(options)
+        self._device = device
+        self._capture = _open(options, device)
         self._last_stamp_s = -np.inf
         try:
             self.rate_hz = self._set_up()
@@ -77,12 +86,16 @@ class _OpenCvSource:
         # one call is faster while other threads compute: each call waits for the interpreter
         came, picture = self._capture.read() if wanted() else (self._capture.grab(), None)
         if not came:
-            raise DeviceLostError(DEVICE, "the stream of pictures ended", LOST_REMEDY)
+            raise DeviceLostError(
+                self._device,
+                "the stream of pictures ended",
+                "check the camera's cable and power, then connect again",
+            )
         stamp_s = self._stamp_s()
         if picture is None and wanted():
             came, picture = self._capture.retrieve()
             if not came:
-                raise CameraError(DEVICE, "a picture cannot be decoded", "check the cable")
+                raise CameraError(self._device, "a picture cannot be decoded", "check the cable")
         return Shot(None if picture is None else self._grey(picture), stamp_s)
 
     def close(self) -> None:
@@ -117,14 +130,10 @@ class _OpenCvSource:
         return rate_hz
 
     def _set(
-        self,
-        name: str,
-        key: int,
-        value: float,
-        requested: float,
-        tolerance: float = SETTING_TOLERANCE,
+        self, name: str, key: int, value: float, requested: float, tolerance: float | None = None
     ) -> float:
         """Set a property; the actual value, in units of `requested`.  Raises ConnectError."""
+        tolerance = self._options.setting_tolerance if tolerance is None else tolerance
         if self._capture.get(key) != value:
             self._capture.set(key, value)
         actual = float(self._capture.get(key)) * requested / value
@@ -134,7 +143,7 @@ class _OpenCvSource:
 
     def _refused(self, name: str, requested: str, actual: str) -> ConnectError:
         return ConnectError(
-            DEVICE, f"{name} = {requested} refused, the camera has {actual}", _SETTINGS_REMEDY
+            self._device, f"{name} = {requested} refused, the camera has {actual}", _SETTINGS_REMEDY
         )
 
     def _skip_colour_conversion(self) -> None:
@@ -142,8 +151,12 @@ class _OpenCvSource:
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
         self.grab(lambda: False)
         came, picture = self._capture.retrieve()
-        if not came or _luminance(picture, self._options.shape) is None:
+        if not came or _luminance(picture, self._shape) is None:
             self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 1.0)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self._options.height_px, self._options.width_px
 
     # --- pictures -----------------------------------------------------------------------------
 
@@ -153,7 +166,7 @@ class _OpenCvSource:
         stamp_s = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
         if not stamp_s > self._last_stamp_s:
             raise CameraError(
-                DEVICE,
+                self._device,
                 f"time stamps do not advance: {stamp_s:.6f} s after {self._last_stamp_s:.6f} s",
                 "for a camera without them set `stamps: arrival`",
             )
@@ -161,19 +174,19 @@ class _OpenCvSource:
         return stamp_s
 
     def _grey(self, picture: np.ndarray) -> Image:
-        image = _luminance(picture, self._options.shape)
-        if image is None and picture.ndim == 3 and picture.shape[:2] == self._options.shape:
+        image = _luminance(picture, self._shape)
+        if image is None and picture.ndim == 3 and picture.shape[:2] == self._shape:
             image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if image is None:
             raise CameraError(
-                DEVICE,
-                f"a picture of shape {picture.shape} came, {self._options.shape} expected",
+                self._device,
+                f"a picture of shape {picture.shape} came, {self._shape} expected",
                 "connect again",
             )
         return image
 
 
-def _open(options: OpenCvOptions) -> cv2.VideoCapture:
+def _open(options: OpenCvOptions, device: str) -> cv2.VideoCapture:
     if options.is_stream:
         # the first bytes must identify the stream's format; one thread adds no delay
         settings = {
@@ -188,7 +201,7 @@ def _open(options: OpenCvOptions) -> cv2.VideoCapture:
     if not capture.isOpened():
         capture.release()
         raise ConnectError(
-            DEVICE, f"{options.device} does not open", "check address, cable, power and permissions"
+            device, f"{options.device} does not open", "check address, cable, power and permissions"
         )
     return capture
 

@@ -7,17 +7,12 @@ too many to be kept.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.interfaces import CameraError, DeviceError, Frame, Image
 
-#: Name of the camera in errors.
-DEVICE = "camera"
-#: Allowed departure of a setting that is read back from the set one, relative.
-SETTING_TOLERANCE = 0.05
-LOST_REMEDY = "check the camera's cable and power, then connect again"
 SLOW_REMEDY = "shorten the exposure, lower the frame rate, or use a faster bus or computer"
 _MISSING_REMEDY = "check cable and load, or lower the frame rate, then record again"
 
@@ -71,29 +66,16 @@ class CaptureOptions:
                 raise ValueError(f"capture.{name} = {getattr(self, name)}: must be ≥ {least}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraSettings:
-    """Size, rate and exposure of a camera, all set and read back.
-
-    exposure_s  manual exposure; None = unchanged
-    """
-
-    width_px: int = 1280
-    height_px: int = 1024
-    frame_rate_hz: float = 200.0
-    exposure_s: float | None = 0.0005
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-
-    def __post_init__(self) -> None:
-        for name in ("width_px", "height_px", "frame_rate_hz", "exposure_s"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ValueError(f"camera.{name} = {value}: must be > 0")
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Of a picture: rows, columns."""
-        return self.height_px, self.width_px
+def check_settings(
+    width_px: int, height_px: int, frame_rate_hz: float, exposure_s: float | None
+) -> None:
+    """Check that a camera's settings are positive.  Raises ValueError."""
+    numbers = {"width_px": width_px, "height_px": height_px, "frame_rate_hz": frame_rate_hz}
+    if exposure_s is not None:
+        numbers["exposure_s"] = exposure_s
+    for name, value in numbers.items():
+        if not value > 0:
+            raise ValueError(f"camera.{name} = {value}: must be > 0")
 
 
 @dataclass(frozen=True)
@@ -114,9 +96,11 @@ class FrameSequence:
         origin_s: float,
         rate_hz: float,
         options: CaptureOptions,
+        device: str,
     ) -> None:
         self.waiting: deque[Frame] = deque()
         self.error: DeviceError | None = None
+        self._device = device
         self._count = frame_count
         self._start_s = start_s
         self._origin_s = origin_s  # arrival time minus stamp
@@ -191,7 +175,7 @@ class FrameSequence:
             return self._error(
                 f"{which} is {_size(frame.image)} pixels, the one before {_size(last.image)}"
             )
-        if repeats(frame.image, last.image):
+        if _same(frame.image, last.image):
             return self._error(f"{which} repeats the one before: the camera is frozen")
         rate_hz = frame.index / (frame.t_s - self._first_s)
         if frame.index >= options.settle_frames and (
@@ -204,19 +188,12 @@ class FrameSequence:
         return None
 
     def _error(self, cause: str, remedy: str = _MISSING_REMEDY) -> CameraError:
-        return CameraError(DEVICE, cause, remedy)
+        return CameraError(self._device, cause, remedy)
 
 
-def repeats(image: Image, before: Image) -> bool:
-    """Whether a picture is the one before and not blank: a covered lens is not a frozen camera.
-
-    One pixel in 256 nearly always shows a difference.
-    """
-    return bool(
-        np.array_equal(image[::16, ::16], before[::16, ::16])
-        and np.array_equal(image, before)
-        and image.min() != image.max()
-    )
+def _same(a: Image, b: Image) -> bool:
+    """Whether two pictures are equal and not blank: a covered lens is not a frozen camera."""
+    return np.array_equal(a[::16], b[::16]) and np.array_equal(a, b) and bool(a.min() != a.max())
 
 
 def _size(image: Image) -> str:

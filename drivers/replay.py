@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -43,17 +42,7 @@ class RecordedPoses:
     poses: Trajectory
 
 
-class _Replayed:
-    """A device that exists in a recording only."""
-
-    def connect(self) -> None:
-        """Nothing is connected."""
-
-    def close(self) -> None:
-        """Nothing is connected."""
-
-
-class ReplayArm(_Replayed):
+class ReplayArm:
     """Arm that returns the recorded answers, and accepts only the filmed motions.
 
     logs       answers of the recorded arm, in their order
@@ -95,6 +84,12 @@ class ReplayArm(_Replayed):
         """Rate at which poses were streamed, Hz."""
         return self._rate_hz
 
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
+
     def state(self) -> ArmState:
         """State on the commanded path; at rest once the recorded arm has settled."""
         now_s = self._clock.now_s()
@@ -132,8 +127,7 @@ class ReplayArm(_Replayed):
         matches = [a for a in self._answers if a.start_s == start_s]
         if matches:
             later = [a for a in matches if a.end_s >= end_s]
-            end_of = attrgetter("end_s")
-            return (min(later, key=end_of) if later else max(matches, key=end_of)).poses
+            return (min(later, key=_end_s) if later else max(matches, key=_end_s)).poses
         grid = np.arange(np.ceil(start_s * self._rate_hz), np.floor(end_s * self._rate_hz) + 1)
         t_s = grid / self._rate_hz
         path = self._path
@@ -171,7 +165,7 @@ class FilmedArm(ReplayArm):
         return Trajectory(*(c[first:last] for c in vars(self._hand).values()))
 
 
-class ReplayCamera(_Replayed):
+class ReplayCamera:
     """A camera that returns the recorded frames, film by film."""
 
     name = "camera"
@@ -188,6 +182,12 @@ class ReplayCamera(_Replayed):
     def frame_rate_hz(self) -> float:
         """Frame rate of the recording, Hz."""
         return self._frame_rate_hz
+
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
 
     def check(self) -> None:
         """Recordings do not get lost."""
@@ -230,7 +230,7 @@ class ReplayCamera(_Replayed):
         self._due = 0
 
 
-class ReplayGripper(_Replayed):
+class ReplayGripper:
     """Gripper that holds a cable if the recorded one did."""
 
     name = "gripper"
@@ -239,6 +239,12 @@ class ReplayGripper(_Replayed):
         self._clock = clock
         self._holds = holds
         self._closed = False
+
+    def connect(self) -> None:
+        """Nothing is connected."""
+
+    def close(self) -> None:
+        """Nothing is connected."""
 
     def grip(self, force_n: float) -> GripperState:
         """Raises GripError: the recorded gripper held nothing."""
@@ -255,6 +261,10 @@ class ReplayGripper(_Replayed):
     def state(self) -> GripperState:
         """Present state."""
         return GripperState(self._clock.now_s(), 0.0, self._closed and self._holds, False)
+
+
+def _end_s(answer: RecordedPoses) -> float:
+    return answer.end_s
 
 
 def _same(path: Trajectory, other: Trajectory) -> bool:

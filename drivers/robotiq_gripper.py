@@ -31,9 +31,6 @@ _LOG = logging.getLogger(__name__)
 _ACTIVE = 3
 _MOVING, _STOPPED_CLOSING = 0, 2
 _FASTEST = 255
-#: Opening at count 0, count at which empty jaws meet, and forces of the counts 0 and 255.
-_STROKE_M, _CLOSED_COUNT, _FORCES_N = 0.085, 230, (20.0, 235.0)
-_POLL_S = 0.005
 
 _FAULTS = {
     0x05: "action delayed until the activation is complete",
@@ -54,9 +51,19 @@ _FAULT, _NEEDS_ACTIVATION, _NO_FAULT = 0x08, 0x0A, 0x100
 
 @dataclass(frozen=True, kw_only=True)
 class RobotiqOptions:
-    """Time that a motion or the activation may take."""
+    """Scales of the gripper's counts, and its longest time of motion.
+
+    motion_s      time that a motion or the activation may take
+    stroke_m      opening at count 0
+    closed_count  count at which empty jaws meet
+    force_n       forces of the counts 0 and 255
+    """
 
     motion_s: float = 5.0
+    poll_s: float = 0.005
+    stroke_m: float = 0.085
+    closed_count: int = 230
+    force_n: tuple[float, float] = (20.0, 235.0)
 
 
 @dataclass(frozen=True)
@@ -109,10 +116,11 @@ class RobotiqGripper(ABC):
     remedy  for a person when there is no gripper
     """
 
-    name = "gripper"
-
-    def __init__(self, options: RobotiqOptions, clock: Clock, place: str, remedy: str) -> None:
-        self._motion_s = options.motion_s
+    def __init__(
+        self, options: RobotiqOptions, clock: Clock, name: str, place: str, remedy: str
+    ) -> None:
+        self.name = name
+        self._jaws = options
         self._clock = clock
         self._place = place
         self._remedy = remedy
@@ -159,7 +167,7 @@ class RobotiqGripper(ABC):
 
     def grip(self, force_n: float) -> GripperState:
         """Raises LimitError: not a force of this gripper; GripError; DeviceTimeoutError."""
-        low, high = _FORCES_N
+        low, high = self._jaws.force_n
         if not low <= force_n <= high:
             raise LimitError(
                 self.name, f"force = {force_n} N, allowed {low}..{high} N", "nothing was moved"
@@ -188,7 +196,7 @@ class RobotiqGripper(ABC):
         )
 
     def _opening_m(self, count: int) -> float:
-        return _STROKE_M * max(0.0, 1.0 - count / _CLOSED_COUNT)
+        return self._jaws.stroke_m * max(0.0, 1.0 - count / self._jaws.closed_count)
 
     def _activate(self) -> None:
         self._act(GripperAction(active=False))
@@ -206,7 +214,7 @@ class RobotiqGripper(ABC):
     def _wait(
         self, done: Callable[[GripperStatus], bool], action: str, hindering: int = _FAULT
     ) -> None:
-        until_s = self._clock.now_s() + self._motion_s
+        until_s = self._clock.now_s() + self._jaws.motion_s
         while True:
             status = self._status()
             finished = done(status)
@@ -221,7 +229,7 @@ class RobotiqGripper(ABC):
             if self._clock.now_s() > until_s:
                 raise DeviceTimeoutError(
                     self.name,
-                    f"{action} not finished within {self._motion_s:.1f} s",
+                    f"{action} not finished within {self._jaws.motion_s:.1f} s",
                     "clear the jaws",
                 )
-            self._clock.sleep_s(_POLL_S)
+            self._clock.sleep_s(self._jaws.poll_s)

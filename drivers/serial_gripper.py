@@ -44,8 +44,8 @@ class SerialGripperOptions(RobotiqOptions):
 class SerialGripper(RobotiqGripper):
     """A gripper on a serial line."""
 
-    def __init__(self, options: SerialGripperOptions, clock: Clock) -> None:
-        super().__init__(options, clock, options.port, _LOST_REMEDY)
+    def __init__(self, options: SerialGripperOptions, clock: Clock, name: str = "gripper") -> None:
+        super().__init__(options, clock, name, options.port, _LOST_REMEDY)
         self._options = options
         self._bus: minimalmodbus.Instrument | None = None
 

@@ -14,7 +14,9 @@ from drivers.interfaces import FloatArray, Pose, Trajectory
 SETTLING_LAGS = 8.0
 
 
-def servo_response(path: Trajectory, lag_s: float, *, start: Pose | None = None) -> Trajectory:
+def servo_response(
+    path: Trajectory, lag_s: float, rate_hz: float = 1000.0, start: Pose | None = None
+) -> Trajectory:
     """Trajectory that an arm at rest really takes.
 
     Each coordinate passes a critically damped second-order lag, 1 / (1 + s lag/2)²: a ramp is
@@ -22,13 +24,14 @@ def servo_response(path: Trajectory, lag_s: float, *, start: Pose | None = None)
 
     path     commanded, interpolated linearly between its points
     lag_s    ≥ 0; 0 = followed exactly
+    rate_hz  sample rate of the result, Hz
     start    where the arm rests; None = exactly on the path's first pose
-    returns  response from `start` until it rests, at 1000 Hz
+    returns  response from `start` until it rests, evenly sampled
     source   exact for an input that is linear between samples (first-order hold)
     """
     if not (np.isfinite(lag_s) and lag_s >= 0.0):
         raise ValueError(f"lag_s = {lag_s}: must be finite and >= 0")
-    step_s = 0.001
+    step_s = 1.0 / rate_hz
     duration_s = float(path.t_s[-1] - path.t_s[0]) + SETTLING_LAGS * lag_s
     offsets_s = step_s * np.arange(int(np.ceil(duration_s / step_s - 1e-9)) + 1)
     t_s = path.t_s[0] + offsets_s

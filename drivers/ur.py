@@ -8,9 +8,11 @@ the controller's own watchdog stops the arm.
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import threading
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,32 +31,70 @@ from drivers.interfaces import (
     revised_too_late,
     too_late,
 )
-from drivers.ur_child import MODES
+from drivers.plane_mount import PlaneMount
+from drivers.ur_child import MODES, ChildOptions
 from drivers.ur_kinematics import MODELS, check_reach
 from drivers.ur_pose import matrices_of, matrix_of
 from drivers.ur_process import ChildProcess, start_child
-from drivers.ur_robot import UrOptions
+from drivers.ur_robot import RobotOptions
 from drivers.ur_shared import COLUMNS, SharedColumn, Slot
+from drivers.ur_versions import Version
 
 _LOST_REMEDY = ArmMode.LOST.remedy
-_CONNECT_S, _RESET_S, _CLOSE_S = 10.0, 10.0, 2.0
-#: Silence of the child that counts as lost, s.
-_SILENT_S = 0.06
-#: How far from the plane the tool may be when a motion starts.
-_OFF_PLANE_M, _TILT_RAD = 0.002, 0.01
+_RESET_S = 10.0
+_CLOSE_S = 2.0
 _POLL_S = 5e-4
 _MODEL_TOLERANCE_M = 0.015
 _MOVING_M_PER_S = 0.001
 
 
+@dataclass(frozen=True)
+class UrOptions:
+    """Address of a UR arm, its cell plane, and how it is driven.
+
+    tcp             pose of the gripping point's frame on the flange: m and rotation vector, rad;
+                    its x and y axes are the plane's when the clamp angle is 0
+    lag_s           measured with this lookahead
+    watchdog_hz     lowest rate of commands before the controller stops the arm
+    stop_m_per_s2   deceleration of a stop
+    connect_s       time that connecting may take
+    stale_s         silence of the controller that counts as lost
+    silent_s        silence of the child that counts as lost
+    off_plane_m, tilt_rad   how far from the plane the tool may be when a motion starts
+    allow_version   PolyScope version, major and minor, that the user allows though it is not
+                    proved; None = proved ones only
+    """
+
+    host: str
+    mount: PlaneMount
+    tcp: tuple[float, ...] = (0.0,) * 6
+    model: str = "UR5e"
+    rate_hz: float = 500.0
+    lookahead_s: float = 0.03
+    gain: float = 300.0
+    lag_s: float = 0.034
+    watchdog_hz: float = 20.0
+    stop_m_per_s2: float = 10.0
+    connect_s: float = 10.0
+    stale_s: float = 0.04
+    silent_s: float = 0.06
+    off_plane_m: float = 0.002
+    tilt_rad: float = 0.01
+    allow_version: Version | None = None
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise ValueError(f"arm.model = {self.model}: must be one of {', '.join(MODELS)}")
+        if len(self.tcp) != 6:
+            raise ValueError(f"arm.tcp has {len(self.tcp)} numbers, 6 are needed")
+
+
 class UrArm:
     """A UR arm.  `stop`, `state` and `log` may be called from any thread."""
 
-    name = "arm"
-
-    def __init__(self, options: UrOptions) -> None:
+    def __init__(self, options: UrOptions, name: str = "arm") -> None:
+        self.name = name
         self._options = options
-        self._model, self._X_FT = MODELS[options.model], matrix_of(np.array(options.tcp))
         self._child: ChildProcess | None = None
         self._lock = threading.RLock()
         self._stop_reason: str | None = None
@@ -76,9 +116,9 @@ class UrArm:
         """Start the child, upload the program.  Raises ConnectError."""
         with self._lock:
             self.close()
-            child = start_child(self._options)
+            child = self._start_child()
             try:
-                self._await_done(child, _CONNECT_S)
+                self._await_done(child, self._options.connect_s)
                 self._await_first_sample(child)
                 self._check_model(child)
             except ConnectError:
@@ -137,7 +177,12 @@ class UrArm:
             if start_s is not None and start_s < now_s:
                 raise too_late(self.name, now_s - start_s)
             self._paths += 1
-            if self._accepts(child, ("follow", begun, stops, start_s), Slot.PATHS, Slot.FOLLOWED):
+            accepted = shared.get(Slot.FOLLOWED)
+            self._send(child, ("follow", begun, stops, start_s))
+            while shared.get(Slot.PATHS) != self._paths:  # at the child's next period
+                self._alive()
+                time.sleep(_POLL_S)
+            if shared.get(Slot.FOLLOWED) > accepted:
                 return
             self._check_ready(child)
             if start_s is None:
@@ -158,8 +203,12 @@ class UrArm:
             self._check_reach(begun, sample[SharedColumn.Q1_RAD :])
             if from_s < time.monotonic():
                 raise revised_too_late(self.name, time.monotonic() - from_s)
-            request = "revise", begun, stops, float(from_s)
-            if self._accepts(child, request, Slot.REVISIONS, Slot.REVISED):
+            commanded, accepted = shared.get(Slot.REVISIONS), shared.get(Slot.REVISED)
+            self._send(child, ("revise", begun, stops, float(from_s)))
+            while shared.get(Slot.REVISIONS) == commanded:  # at the child's next period
+                self._alive()
+                time.sleep(_POLL_S)
+            if shared.get(Slot.REVISED) > accepted:
                 return
             self._check_ready(child)
             if not self._busy(child):
@@ -208,6 +257,26 @@ class UrArm:
                 cause, remedy = self._cause(child, mode), mode.remedy
             raise StoppedError(self.name, f"the controller reports {cause}", remedy, mode)
 
+    def _start_child(self) -> ChildProcess:
+        o = self._options
+        robot = RobotOptions(
+            host=o.host,
+            pid=os.getpid(),
+            tcp=o.tcp,
+            period_s=1.0 / o.rate_hz,
+            watchdog_hz=o.watchdog_hz,
+            allow_version=o.allow_version,
+        )
+        options = ChildOptions(
+            robot=robot,
+            mount=o.mount,
+            lookahead_s=o.lookahead_s,
+            gain=o.gain,
+            stop_m_per_s2=o.stop_m_per_s2,
+            stale_s=o.stale_s,
+        )
+        return start_child(options)
+
     def _await_done(self, child: ChildProcess, seconds: float) -> None:
         try:
             if not child.connection.poll(seconds):
@@ -240,7 +309,7 @@ class UrArm:
         silent_s = time.monotonic() - child.shared.get(Slot.HEARTBEAT_S)
         if child.process.poll() is not None:
             self._lose(child, child.farewell())
-        if silent_s > _SILENT_S:
+        if silent_s > self._options.silent_s:
             self._lose(child, f"the arm's process has been silent for {silent_s:.3f} s")
         return child
 
@@ -255,21 +324,6 @@ class UrArm:
             child.connection.send(request)
         except OSError:
             self._lose(child, child.farewell())
-
-    def _accepts(
-        self, child: ChildProcess, request: tuple[object, ...], told: Slot, accepted: Slot
-    ) -> bool:
-        """Whether the child accepts a request, known at its next period.
-
-        told, accepted  the child's counts of such requests
-        """
-        shared = child.shared
-        before, accepted_before = shared.get(told), shared.get(accepted)
-        self._send(child, request)
-        while shared.get(told) == before:
-            self._alive()
-            time.sleep(_POLL_S)
-        return shared.get(accepted) > accepted_before
 
     def _receive(self, child: ChildProcess, seconds: float) -> tuple[str, ...]:
         try:
@@ -314,25 +368,26 @@ class UrArm:
 
     def _check_model(self, child: ChildProcess) -> None:
         (sample,) = child.shared.samples(1)
-        X_BT = self._model.forward(sample[SharedColumn.Q1_RAD :], self._X_FT)
+        model = MODELS[self._options.model]
+        X_BT = model.forward(sample[SharedColumn.Q1_RAD :], matrix_of(np.array(self._options.tcp)))
         there, here = self._options.mount.to_plane(X_BT), self._pose(sample)
         apart_m = float(np.hypot(there.x_m - here.x_m, there.y_m - here.y_m))
         if apart_m > _MODEL_TOLERANCE_M:
             raise ConnectError(
                 self.name,
-                f"joints and tool of a {self._model.name} put it {apart_m * 1e3:.0f} mm from where "
-                "it is",
+                f"joints and tool of a {model.name} put it {apart_m * 1e3:.0f} mm from where it is",
                 "check arm.model and arm.tcp",
             )
 
     def _check_on_plane(self, sample: FloatArray) -> None:
-        off_m, tilt_rad = self._options.mount.off_plane(matrix_of(_tool_of(sample)))
-        if off_m > _OFF_PLANE_M or tilt_rad > _TILT_RAD:
+        o = self._options
+        off_m, tilt_rad = o.mount.off_plane(matrix_of(_tool_of(sample)))
+        if off_m > o.off_plane_m or tilt_rad > o.tilt_rad:
             raise LimitError(
                 self.name,
                 f"the tool is {off_m * 1e3:.1f} mm off the cell's plane and tilted by "
-                f"{tilt_rad:.3f} rad, allowed {_OFF_PLANE_M * 1e3:.1f} mm and "
-                f"{_TILT_RAD:.3f} rad",
+                f"{tilt_rad:.3f} rad, allowed {o.off_plane_m * 1e3:.1f} mm and "
+                f"{o.tilt_rad:.3f} rad",
                 "jog it to its start; nothing was moved",
             )
 
@@ -340,7 +395,8 @@ class UrArm:
         return self._options.mount.to_plane(matrix_of(_tool_of(sample)))
 
     def _check_reach(self, path: Trajectory, q_rad: FloatArray) -> None:
-        check_reach(path, q_rad, self._model, self._X_FT, self._options.mount, self.name)
+        model, X_FT = MODELS[self._options.model], matrix_of(np.array(self._options.tcp))
+        check_reach(path, q_rad, model, X_FT, self._options.mount, self.name)
 
 
 def _tool_of(samples: FloatArray) -> FloatArray:

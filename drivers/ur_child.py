@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 
 from drivers.interfaces import ArmMode, Trajectory
+from drivers.plane_mount import PlaneMount
 from drivers.priority import bound_spinning, run_in_real_time
 from drivers.ur_pose import pose_of
-from drivers.ur_robot import RefusedError, Robot, UrOptions
+from drivers.ur_robot import RefusedError, Robot, RobotOptions
 from drivers.ur_shared import SharedState, Slot
 
 _DRIFT = 50e-6  # how fast two crystals may part
@@ -91,8 +92,18 @@ _CLOCKS_S = 0.1  # time of the first estimate of the clocks' offset
 _EARLY_S, _POLL_S = 1e-4, 5e-5  # before a state is expected, and polling interval
 _SETTING_UP_S, _CYCLING_S = 0.5, 0.03  # longest that ur-rtde may spin
 _FAREWELL_S = 2
-_STALE_S = 0.04  # silence of the controller that counts as lost
-_STOP_M_PER_S2 = 10.0  # deceleration of a stop
+
+
+@dataclass(frozen=True)
+class ChildOptions:
+    """Options of the child process; see `drivers.ur.UrOptions`."""
+
+    robot: RobotOptions
+    mount: PlaneMount
+    lookahead_s: float
+    gain: float
+    stop_m_per_s2: float
+    stale_s: float
 
 
 class _LostError(Exception):
@@ -107,9 +118,7 @@ class _Motion:
 
 
 class _Child:
-    def __init__(
-        self, connection: Connection, shared: SharedState, options: UrOptions, pid: int
-    ) -> None:
+    def __init__(self, connection: Connection, shared: SharedState, options: ChildOptions) -> None:
         self._connection = connection
         self._requests = select.poll()  # `Connection.poll` would make one in every cycle
         self._requests.register(connection, select.POLLIN)
@@ -118,11 +127,11 @@ class _Child:
         self._motion: _Motion | None = None
         self._mode = ArmMode.READY
         self._stops = 0.0
-        self._clock = ControllerClock(options.period_s)
+        self._clock = ControllerClock(options.robot.period_s)
         self._silent_s = 0.0
         self._last_t_s = -np.inf
-        self._period_s = options.period_s
-        self._robot = Robot(options, pid, _hurry)
+        self._period_s = options.robot.period_s
+        self._robot = Robot(options.robot, _hurry)
         self._began_s = self._measured_s = time.monotonic()
 
     def run(self) -> None:
@@ -174,7 +183,7 @@ class _Child:
         self._silent_s += min(now_s - self._measured_s, 2.0 * self._period_s)
         self._measured_s = now_s
         if robot_s == self._clock.robot_s:
-            if self._silent_s > _STALE_S:
+            if self._silent_s > self._options.stale_s:
                 raise _LostError(
                     f"the controller's time has not advanced for {self._silent_s:.3f} s"
                 )
@@ -215,7 +224,7 @@ class _Child:
     def _end_motion(self) -> None:
         if self._motion is not None:
             self._motion = None
-            self._robot.control.servoStop(_STOP_M_PER_S2)
+            self._robot.control.servoStop(self._options.stop_m_per_s2)
             self._shared.put(Slot.STREAMING, 0.0)
 
     def _stream(self, motion: _Motion, now_s: float) -> None:
@@ -308,9 +317,9 @@ def main() -> None:
     """Serve one arm: `python -m drivers.ur_child CONNECTION_FD MEMORY_FD`."""
     connection = Connection(int(sys.argv[1]))
     shared = SharedState(int(sys.argv[2]))
-    options: UrOptions = pickle.loads(connection.recv_bytes())
+    options: ChildOptions = pickle.loads(connection.recv_bytes())
     try:
-        child = _Child(connection, shared, options, os.getppid())
+        child = _Child(connection, shared, options)
         connection.send(("done",))
     except RefusedError as refusal:
         connection.send(("refused", refusal.cause, refusal.remedy))

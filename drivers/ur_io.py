@@ -117,12 +117,18 @@ class UrIo:
         return _numbers(inputs), _numbers(outputs)
 
 
-def _variables(numbers: Collection[int]) -> Iterator[str]:
-    """Input variables of RTDE that set these outputs: the mask of a group, then its bits."""
+def _groups(numbers: Collection[int]) -> Iterator[str]:
+    """Groups in which there are such numbers."""
     for group, (first, last) in GROUPS.items():
         if any(first <= number <= last for number in numbers):
-            yield f"{group}_digital_output_mask"
-            yield f"{group}_digital_output"
+            yield group
+
+
+def _variables(numbers: Collection[int]) -> Iterator[str]:
+    """Input variables of RTDE that set these outputs: the mask of a group, then its bits."""
+    for group in _groups(numbers):
+        yield f"{group}_digital_output_mask"
+        yield f"{group}_digital_output"
 
 
 def _values(recipe: Recipe, ours: Collection[int], on: Collection[int]) -> list[int]:

@@ -14,7 +14,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import BinaryIO
 
-from drivers.ur_robot import UrOptions
+from drivers.ur_child import ChildOptions
 from drivers.ur_shared import SIZE_BYTES, SharedState
 
 
@@ -52,7 +52,7 @@ class ChildProcess:
         return f"the arm's process ended ({self.process.returncode}): {self.last_words()}"
 
 
-def start_child(options: UrOptions) -> ChildProcess:
+def start_child(options: ChildOptions) -> ChildProcess:
     """Start `drivers.ur_child` with memory that both sides share."""
     ours, theirs = Pipe()
     with tempfile.TemporaryFile() as memory:

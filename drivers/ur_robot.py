@@ -10,7 +10,6 @@ import numpy as np
 
 from drivers.clock import sleep_until
 from drivers.interfaces import ArmMode
-from drivers.plane_mount import PlaneMount
 from drivers.priority import Pollers, own_threads
 from drivers.rtde_client import RtdeClient
 from drivers.ur_claim import ClaimedError, claim
@@ -35,8 +34,6 @@ _OUTPUTS = [
 ]
 #: Largest delay of ur-rtde's clients while this process sleeps, s.
 _POLLING_SLACK_S = 4e-4
-#: Lowest rate of commands before the controller stops the arm.
-_WATCHDOG_HZ = 20.0
 _STANDSTILL_M = 2e-4
 _STANDSTILL_S = 0.1
 _PROGRAM_S = 5.0
@@ -49,39 +46,18 @@ _NO_LIBRARY = (
 
 
 @dataclass(frozen=True)
-class UrOptions:
-    """Address of a UR arm, its cell plane, and how it is driven.
+class RobotOptions:
+    """Address of a robot and its allowed version; see `drivers.ur.UrOptions`.
 
-    tcp             pose of the gripping point's frame on the flange: m and rotation vector, rad;
-                    its x and y axes are the plane's when the clamp angle is 0
-    rate_hz         of the controller's cycles, and of commands
-    lag_s           measured with this lookahead
-    allow_version   PolyScope version, major and minor, that the user allows though it is not
-                    proved; None = proved ones only
+    pid  process that commands it
     """
 
     host: str
-    mount: PlaneMount
-    tcp: tuple[float, ...] = (0.0,) * 6
-    model: str = "UR5e"
-    rate_hz: float = 500.0
-    lookahead_s: float = 0.03
-    gain: float = 300.0
-    lag_s: float = 0.034
-    allow_version: Version | None = None
-
-    def __post_init__(self) -> None:
-        from drivers.ur_kinematics import MODELS  # not in the child, where it takes too long
-
-        if self.model not in MODELS:
-            raise ValueError(f"arm.model = {self.model}: must be one of {', '.join(MODELS)}")
-        if len(self.tcp) != 6:
-            raise ValueError(f"arm.tcp has {len(self.tcp)} numbers, 6 are needed")
-
-    @property
-    def period_s(self) -> float:
-        """Of the controller's cycles, s."""
-        return 1.0 / self.rate_hz
+    pid: int
+    tcp: tuple[float, ...]
+    period_s: float
+    watchdog_hz: float
+    allow_version: Version | None
 
 
 class RefusedError(Exception):
@@ -96,13 +72,14 @@ class RefusedError(Exception):
 class Robot:
     """A connected controller.
 
-    pid             process that commands it
     before_threads  called once everything is loaded, before the clients start their threads
     raises          RefusedError: no ur-rtde, no controller, a version that is not allowed, another
                     program that commands it, or the robot cannot start
     """
 
-    def __init__(self, options: UrOptions, pid: int, before_threads: Callable[[], None]) -> None:
+    def __init__(
+        self, options: RobotOptions, before_threads: Callable[[], None] = lambda: None
+    ) -> None:
         try:
             import rtde_control
             import rtde_receive
@@ -113,11 +90,13 @@ class Robot:
         before = own_threads()
         self._options = options
         version = _allowed_version(options)
-        self._claim = _claimed(options.host, pid)
+        self._claim = _claimed(options)
         self._pendant = _pendant(options.host, version)
-        self.receive = rtde_receive.RTDEReceiveInterface(options.host, options.rate_hz, _OUTPUTS)
+        self.receive = rtde_receive.RTDEReceiveInterface(
+            options.host, 1.0 / options.period_s, _OUTPUTS
+        )
         self._check_can_start()
-        self.control = rtde_control.RTDEControlInterface(options.host, options.rate_hz)
+        self.control = rtde_control.RTDEControlInterface(options.host, 1.0 / options.period_s)
         self._pollers = Pollers(own_threads() - before, _POLLING_SLACK_S)
         if self._pendant is not None:
             self._pendant.begin()
@@ -196,7 +175,7 @@ class Robot:
 
     def _prepare(self) -> None:
         self.control.setTcp(list(self._options.tcp))
-        self.control.setWatchdog(_WATCHDOG_HZ)
+        self.control.setWatchdog(self._options.watchdog_hz)
 
     def _end_programs(self) -> None:
         """End a running program without a dashboard: ur-rtde would crash in its own request."""
@@ -221,7 +200,7 @@ class Robot:
             raise RefusedError(f"the controller reports {mode.value}", mode.remedy)
 
 
-def _allowed_version(options: UrOptions) -> Version:
+def _allowed_version(options: RobotOptions) -> Version:
     """The controller's version, read first because ur-rtde can hang on unknown ones."""
     try:
         version = identify(options.host).release
@@ -242,7 +221,7 @@ def _pendant(host: str, version: Version) -> RemoteControl | None:
         raise RefusedError(f"the dashboard: {error}", ArmMode.LOST.remedy) from error
 
 
-def _claimed(host: str, pid: int) -> RtdeClient:
+def _claimed(options: RobotOptions) -> RtdeClient:
     """The claim to command the controller; it ends with this process.
 
     A claim of this program is of a connection that has just ended, and soon disappears.
@@ -250,10 +229,10 @@ def _claimed(host: str, pid: int) -> RtdeClient:
     until_s = time.monotonic() + _FREED_S
     while True:
         try:
-            return claim(host, pid)
+            return claim(options.host, options.pid)
         except ClaimedError as error:
             owner = error.commander
-            ours = owner is not None and owner.here and owner.pid == pid
+            ours = owner is not None and owner.here and owner.pid == options.pid
             if not ours or time.monotonic() > until_s:
                 raise RefusedError(str(error), error.remedy) from error
         except OSError as error:

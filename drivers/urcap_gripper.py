@@ -39,8 +39,8 @@ class UrcapGripperOptions(RobotiqOptions):
 class UrcapGripper(RobotiqGripper):
     """Robotiq-type gripper that is connected by the server of Robotiq's URCap."""
 
-    def __init__(self, options: UrcapGripperOptions, clock: Clock) -> None:
-        super().__init__(options, clock, f"{options.host}:{options.port}", _LOST_REMEDY)
+    def __init__(self, options: UrcapGripperOptions, clock: Clock, name: str = "gripper") -> None:
+        super().__init__(options, clock, name, f"{options.host}:{options.port}", _LOST_REMEDY)
         self._options = options
         self._socket: socket.socket | None = None
 

@@ -207,8 +207,10 @@ def times_from(move: DetectedMove) -> Times:
     )
 
 
-def stored_times(times: Times, settings: Settings, frames: int) -> StoredCalibration:
-    """Calibration file content of the delays."""
+def stored_times(
+    times: Times, settings: Settings, frames: int, latency_s: float
+) -> StoredCalibration:
+    """Calibration file content of the delays; `latency_s` is what the driver already corrects."""
     return StoredCalibration(
         "time",
         datetime.now(UTC),
@@ -220,7 +222,7 @@ def stored_times(times: Times, settings: Settings, frames: int) -> StoredCalibra
             "latency_rms_m": times.latency.rms_m,
             "lag_rms_m": times.lag.rms_m,
         },
-        {"latency_s": times.latency.value_s, "lag_s": times.lag.value_s},
+        {"latency_s": latency_s + times.latency.value_s, "lag_s": times.lag.value_s},
     )
 
 
@@ -266,20 +268,20 @@ def today(
     rms_m = float(np.sqrt(np.mean(np.sum((errors_px - shift) ** 2, axis=1)))) * scale_m
     bound_m = limits.max_error_m
     change_s = None if times is None else times.latency.value_s
-    part: str | None = None
+    command = f"cell calibrate cell --config {config}"
     if moved_m > bound_m:
         sentence = f"the camera, or the plate on the jaw, moved by {moved_m * 1e3:.2f} mm"
-        part = "cell "
-    elif rms_m > bound_m:
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
+    if rms_m > bound_m:
         sentence = f"the map is wrong by {rms_m * 1e3:.2f} mm rms: the camera turned, or its lens"
-        part = ""
-    elif change_s is not None and abs(change_s) > limits.max_time_error_s:
+        command = f"cell calibrate --config {config}"
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
+    if change_s is not None and abs(change_s) > limits.max_time_error_s:
         sentence = f"recalibrate time: the camera's latency changed by {change_s * 1e3:+z.2f} ms"
-        part = "time "
-    else:
-        sentence = f"good: {np.hypot(moved_m, rms_m) * 1e3:.3f} mm from the stored map"
-    command = None if part is None else f"cell calibrate {part}--config {config}"
-    return Drift(command is None, sentence, command, moved_m, rms_m, change_s)
+        command = f"cell calibrate time --config {config}"
+        return Drift(False, sentence, command, moved_m, rms_m, change_s)
+    sentence = f"good: {np.hypot(moved_m, rms_m) * 1e3:.3f} mm from the stored map"
+    return Drift(True, sentence, None, moved_m, rms_m, change_s)
 
 
 def _only(values: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.cable_line import measure_line
 from calib.errors import MisfitError, TooFewError
-from calib.grip import LEAST_POSES, GripFit, GripView
+from calib.grip import LEAST_POSES, GripFit, GripView, fit_grip
 from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from cell.calibration.assistants import Assistant
@@ -155,6 +155,11 @@ def views_of(
             _REMEDIES[most],
         )
     return tuple(views), tuple(f"{why.replace('_', ' ')} in {n}" for why, n in counts.items())
+
+
+def grip_from(views: tuple[GripView, ...], cell: StoredCalibration) -> GripFit:
+    """Gripping point, clamp angle and free length.  Raises CalibrationError."""
+    return fit_grip(views, float(cell.error.get("map_rms_m", 0.0)))
 
 
 def stored_grip(fit: GripFit, settings: Settings, troubles: tuple[str, ...]) -> StoredCalibration:

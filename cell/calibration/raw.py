@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from cell.cable.arrays import FloatArray
-from cell.files.input_error import InputError
+from cell.files.input_error import InputError, Problem
 from cell.files.words import counted
 from drivers.interfaces import Image, Pose, Trajectory
 
@@ -83,10 +83,10 @@ def save_pictures(folder: Path, pictures: Sequence[NamedImage]) -> None:
 def read_pictures(folder: Path) -> tuple[NamedImage, ...]:
     """All pictures of a folder, by name.  Raises InputError: there are none, or not readable."""
     if not folder.is_dir():
-        raise InputError.at(folder, "is no folder; give one with pictures")
+        raise InputError([Problem(folder, 1, None, "", "is no folder; give one with pictures")])
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES)
     if not paths:
-        raise InputError.at(folder, "has no pictures (PNG, TIFF, JPEG)")
+        raise InputError([Problem(folder, 1, None, "", "has no pictures (PNG, TIFF, JPEG)")])
     return tuple(NamedImage(path.name, _read(path)) for path in paths)
 
 
@@ -111,15 +111,13 @@ def read_cell(folder: Path) -> ShownCell:
     for line, row in _rows(table, _POSE_COLUMNS):
         name, role = row[0], row[1]
         if role not in ("fit", "held_out"):
-            raise InputError.at(table, f"{role!r} must be fit or held_out", line=line, key="role")
+            raise _wrong(table, line, f"{role!r} must be fit or held_out", "role")
         x, y, angle = _numbers(table, line, row[2:])
         if max(abs(x), abs(y)) > FARTHEST_M:
             message = f"the gripper is at ({x:g}, {y:g}) m; give metres, not millimetres"
-            raise InputError.at(table, message, line=line)
+            raise _wrong(table, line, message)
         if abs(angle) > 2.0 * np.pi:
-            raise InputError.at(
-                table, f"{angle:g} rad; give radians, not degrees", line=line, key="angle_rad"
-            )
+            raise _wrong(table, line, f"{angle:g} rad; give radians, not degrees", "angle_rad")
         poses.append(ShownPose(role, Pose(x, y, angle), NamedImage(name, _read(folder / name))))
     present = itertools.takewhile(Path.exists, (_thread(folder, k) for k in itertools.count(1)))
     threads = tuple(_read(path) for path in present)
@@ -170,7 +168,7 @@ def _save(path: Path, image: Image) -> None:
 def _read(path: Path) -> Image:
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     if image is None:
-        raise InputError.at(path, "is missing or no picture")
+        raise InputError([Problem(path, 1, None, "", "is missing or no picture")])
     return np.asarray(image, dtype=np.uint8)
 
 
@@ -188,19 +186,19 @@ def _rows(path: Path, header: Sequence[str]) -> list[tuple[int, list[str]]]:
             lines = [(n, row) for n, row in enumerate(csv.reader(file), 1) if any(row)]
     except (OSError, ValueError, csv.Error) as error:
         why = error.strerror if isinstance(error, OSError) else "is not UTF-8 text with commas"
-        raise InputError.at(path, f"cannot be read: {why}; check the name and the file") from error
+        raise _wrong(path, 1, f"cannot be read: {why}; check the name and the file") from error
     names = [cell.strip() for cell in lines[0][1]] if lines else []
     if sorted(names) != sorted(header):
-        raise InputError.at(path, f"must begin with the line {','.join(header)}")
+        raise _wrong(path, 1, f"must begin with the line {','.join(header)}")
     for number, row in lines:
         if len(row) != len(names):
             message = (
                 f"has {counted(len(row), 'column')}, {len(names)} are needed; mend it "
                 "or record again"
             )
-            raise InputError.at(path, message, line=number)
+            raise _wrong(path, number, message)
     if len(lines) < 2:
-        raise InputError.at(path, "has no rows")
+        raise _wrong(path, 1, "has no rows")
     order = [names.index(name) for name in header]
     return [(number, [row[i].strip() for i in order]) for number, row in lines[1:]]
 
@@ -209,7 +207,11 @@ def _numbers(path: Path, line: int, cells: Sequence[str]) -> list[float]:
     try:
         values = [float(cell) for cell in cells]
     except ValueError as error:
-        raise InputError.at(path, f"{error}; give numbers", line=line) from error
+        raise _wrong(path, line, f"{error}; give numbers") from error
     if not np.all(np.isfinite(values)):
-        raise InputError.at(path, "has a number that is not finite; give numbers", line=line)
+        raise _wrong(path, line, "has a number that is not finite; give numbers")
     return values
+
+
+def _wrong(path: Path, line: int, message: str, key: str = "") -> InputError:
+    return InputError([Problem(path, line, None, key, message)])

@@ -2,39 +2,40 @@
 
 from __future__ import annotations
 
+import base64
+import html
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
-import plotly.graph_objects as go
 
 from calib.board import BoardView
 from calib.camera import CameraFit, picture_grid
 from calib.cell import CellFit
 from calib.grip import GripFit, GripView
-from calib.lens import LENS_NUMBERS
 from calib.plane import PlaneView
 from calib.store import StoredCalibration
 from calib.timing import Delay
 from cell.cable.arrays import FloatArray
 from cell.calibration.conclude import Times
 from cell.calibration.raw import DetectedMove, NamedImage, ShownCell
-from cell.files.figure_style import ADDED, MODEL, QUIET, in_mm, laid_out, listed
-from cell.files.page import PagePicture, Plot, page
-from cell.files.table import TableData
 from cell.settings import Settings
 from cell.settings.calibrated import CIRCLE_95
 from drivers.interfaces import Image
 
-_TEMPLATES = Path(__file__).parent / "templates"
 #: Length of the longest arrow in a picture of residuals.
 _ARROW_PX = 60.0
 #: Width and height of the part of a picture that is shown enlarged.
 _PART_PX = (240, 130)
 
-#: A heading, and what is below it; a further string is a note.
-Part = tuple[str | TableData | Plot | PagePicture, ...]
+_STYLE = """
+body{font:16px/1.45 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}
+h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.15em;margin-top:2em}.note{color:#555}
+.says{font-size:1.2em;padding:.7em 1em;background:#eef4f5;border-left:6px solid #00798c}
+table{border-collapse:collapse;margin:.8em 0}td,th{padding:.25em .9em;text-align:left;
+border-bottom:1px solid #ddd}td.n{text-align:right;font-variant-numeric:tabular-nums}
+img{max-width:100%;border:1px solid #ccc}svg{max-width:100%}
+"""
 
 
 def camera_report(
@@ -48,7 +49,7 @@ def camera_report(
     e = stored.error
     corners = np.concatenate([view.pixels for view in views])
     numbers = zip(stored.result["lens"], np.sqrt(np.diag(fit.covariance)), strict=True)
-    names = [name.replace("_px", ", px") for name in LENS_NUMBERS]
+    names = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")
     rows = [(n, f"{v:.6g}", f"{s:.2g}") for n, (v, s) in zip(names, numbers, strict=True)]
     for name, value, spread in zip(
         ("board bowed across, mm", "board bowed upright, mm"),
@@ -68,31 +69,31 @@ def camera_report(
         [
             (
                 "Where corners were seen",
-                _image(_dots(pictures[0].image, corners)),
-                "Those of all pictures, over the first; none may be lacking in a corner.",
+                _image(_dots(pictures[0].image, corners))
+                + _note("Those of all pictures, over the first; none may be lacking in a corner."),
             ),
             (
                 "Uncertainty, 95 %, px",
-                _heat(CIRCLE_95 * fit.spread_px),
-                "From the corners' noise, through the whole fit, board poses and bow included; "
-                "what a plane's pose takes up anyway is left off.",
+                _heat(CIRCLE_95 * fit.spread_px)
+                + _note("From the corners' noise, through the whole fit, board poses and bow "
+                        "included; what a plane's pose takes up anyway is left off."),
             ),
             (
                 "Disagreement of two halves, px",
-                _heat(fit.halves_px),
-                "Far above the uncertainty: the model is wrong, which no covariance can show. "
-                "Look for a loose lens, a soft board, another focus.",
+                _heat(fit.halves_px)
+                + _note("Far above the uncertainty: the model is wrong, which no covariance can "
+                        "show. Look for a loose lens, a soft board, another focus."),
             ),
             ("Numbers", _table(("", "value", "standard deviation"), rows)),
             (
                 "Pictures",
-                _table(("picture", "corners", "set aside", "rms, px"), per_view),
-                "A small rms alone proves nothing: fewer pictures have a smaller one.",
-                *troubles,
+                _table(("picture", "corners", "set aside", "rms, px"), per_view)
+                + _note("A small rms alone proves nothing: fewer pictures have a smaller one.")
+                + "".join(f"<p class=note>{html.escape(t)}</p>" for t in troubles),
             ),
         ],
         stored,
-    )
+    )  # fmt: skip
 
 
 def cell_report(
@@ -142,26 +143,29 @@ def cell_report(
         [
             (
                 "The plane as the map has it",
-                _image(overlay),
-                "Lines every 10 mm; the axes are red, y against gravity.",
+                _image(overlay) + _note("Lines every 10 mm; the axes are red, y against gravity."),
             ),
             ("Uncertainty of the map, 95 %, mm", _heat(spread_mm)),
             (
                 "Disagreement with the classic way, mm",
-                _heat(1e3 * classic_m),
-                "Hand–eye as it is usually done: the plate's pose in each picture by itself, "
-                "then robot and camera brought together; Park's and Daniilidis' own solutions "
-                "need turns about two axes, which this gripper cannot make. It shares nothing "
-                "with the fit above but pictures and lens, and is itself wrong by tenths "
-                "of a millimetre. A millimetre or more where the gripper was shown means that "
-                "one of the two misunderstands the cell: check the marks' places in "
-                "vision.jaw.discs_m, the lens, and that nothing was moved between them.",
+                _heat(1e3 * classic_m)
+                + _note(
+                    "Hand–eye as it is usually done: the plate's pose in each picture by itself, "
+                    "then robot and camera brought together; Park's and Daniilidis' own solutions "
+                    "need turns about two axes, which this gripper cannot make. It shares nothing "
+                    "with the fit above but pictures and lens, and is itself wrong by tenths "
+                    "of a millimetre. A millimetre or more where the gripper was shown means that "
+                    "one of the two misunderstands the cell: check the marks' places in "
+                    "vision.jaw.discs_m, the lens, and that nothing was moved between them."
+                ),
             ),
             (
                 "What the fit leaves, pose by pose",
-                _image(_arrows(last, fit, shown)),
-                f"The longest arrow is {_longest_px(fit):.3f} px; they must not point all "
-                "one way in one region.",
+                _image(_arrows(last, fit, shown))
+                + _note(
+                    f"The longest arrow is {_longest_px(fit):.3f} px; they must not point all "
+                    "one way in one region."
+                ),
             ),
             ("Numbers", _table(("", ""), rows)),
         ],
@@ -228,50 +232,38 @@ def grip_report(
         f"{np.degrees(e['angle_95_rad']):.2f}° from the direction of the marks, its free length "
         f"is {1e3 * fit.mean[3]:.2f} ± {1e3 * e['length_95_m']:.2f} mm (95 %).",
         [
-            (
-                "Numbers",
-                _table(
-                    ("", "value", "± 95 %", "between poses"),
-                    [(n, *r) for n, r in zip(names, rows, strict=True)],
-                ),
-                "In the frame of the marks: x away from the cable, y up, angle positive where "
-                "the cable points further down. The cycle uses them in place of "
-                "vision.jaw.discs_m about 0, 0 and cable.free_length_m.",
-            ),
-            (
-                "The line as measured, and where it begins and ends",
-                *(_image(_held(images[one.name], one, view), one.name) for one in (first, last)),
-            ),
-            (
-                "The jaw, enlarged",
-                _image(
-                    _enlarged(
-                        _held(images[first.name], first, view),
-                        view.to_pixels(first.line.edge_m),
-                    )
-                ),
-            ),
-            (
-                "Poses",
-                _table(
-                    ("picture", "x, mm", "y, mm", "angle, °", "length, mm", "left, rms, mm"),
-                    poses,
-                ),
-                "What goes from pose to pose must not go one way: then the cable slides.",
-            ),
+            ("Numbers", _table(("", "value", "± 95 %", "between poses"),
+                               [(n, *r) for n, r in zip(names, rows, strict=True)])
+             + _note("In the frame of the marks: x away from the cable, y up, angle positive where "
+                     "the cable points further down. The cycle uses them in place of "
+                     "vision.jaw.discs_m about 0, 0 and cable.free_length_m.")),
+            ("The line as measured, and where it begins and ends",
+             "".join(_image(_held(images[one.name], one, view)) for one in (first, last))),
+            ("The jaw, enlarged", _image(_enlarged(_held(images[first.name], first, view),
+                                                   view.to_pixels(first.line.edge_m)))),
+            ("Poses", _table(("picture", "x, mm", "y, mm", "angle, °", "length, mm",
+                              "left, rms, mm"), poses)
+             + _note("What goes from pose to pose must not go one way: then the cable slides.")),
         ],
         stored,
-    )
+    )  # fmt: skip
 
 
 # --- parts of a page --------------------------------------------------------------------------
 
 
-def _page(title: str, sentence: str, parts: Sequence[Part], stored: StoredCalibration) -> str:
+def _page(
+    title: str, sentence: str, parts: Sequence[tuple[str, str]], stored: StoredCalibration
+) -> str:
     stated = [*stored.how.items(), *stored.devices.items()]
-    made = f"{stored.made:%Y-%m-%d %H:%M} UTC"
-    facts = "; ".join([made, *(_plainly(k, v) for k, v in stated if v is not None)])
-    return page(_TEMPLATES, "calibration.html", title, facts=facts, sentence=sentence, parts=parts)
+    facts = "; ".join(_plainly(k, v) for k, v in stated if v is not None)
+    body = "".join(f"<h2>{html.escape(head)}</h2>{content}" for head, content in parts)
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
+        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"
+        f"<p class=note>{stored.made:%Y-%m-%d %H:%M} UTC; {html.escape(facts)}</p>"
+        f"<p class=says>{html.escape(sentence)}</p>{body}</html>"
+    )
 
 
 def _plainly(key: str, value: object) -> str:
@@ -282,33 +274,76 @@ def _plainly(key: str, value: object) -> str:
     return f"{name.replace('_', ' ')}: {value} {unit}".rstrip()
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> TableData:
-    return TableData("", heads, rows, range(1, len(heads)))
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    top = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    lines = "".join(
+        "<tr>" + "".join(f"<td{'' if k == 0 else ' class=n'}>{html.escape(c)}</td>"
+                         for k, c in enumerate(row)) + "</tr>"
+        for row in rows
+    )  # fmt: skip
+    return f"<table><tr>{top}</tr>{lines}</table>"
 
 
-def _image(image: Image, name: str = "") -> PagePicture:
-    return PagePicture.of(image, image.shape[1], name)
+def _note(words: str) -> str:
+    return f"<p class=note>{html.escape(words)}</p>"
 
 
-def _heat(values: FloatArray) -> Plot:
+def _image(image: Image) -> str:
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}">'
+
+
+def _heat(values: FloatArray) -> str:
     """(R, C) values over the picture as coloured cells with their numbers."""
-    scale = [[0.0, "#eef4f5"], [1.0, ADDED]]
-    cells = go.Heatmap(
-        z=values.tolist(), texttemplate="%{z:.3f}", colorscale=scale, showscale=False
-    )
-    figure = laid_out(go.Figure(cells), 40 * len(values) + 110)
-    figure.update_xaxes(visible=False)
-    return Plot.of(figure.update_yaxes(visible=False, autorange="reversed"))
+    rows, columns = values.shape
+    top = float(np.nanmax(values)) or 1.0
+    wide, high = 64, 34
+    cells = []
+    for r in range(rows):
+        for c in range(columns):
+            share = float(values[r, c]) / top
+            ink = "#fff" if share > 0.6 else "#222"
+            cells.append(
+                f'<rect x="{c * wide}" y="{r * high}" width="{wide}" height="{high}" '
+                f'fill="hsl(195 60% {95 - 65 * share:.0f}%)"/>'
+                f'<text x="{(c + 0.5) * wide}" y="{(r + 0.65) * high}" fill="{ink}" '
+                f'text-anchor="middle" font-size="12">{values[r, c]:.3f}</text>'
+            )
+    return f'<svg viewBox="0 0 {columns * wide} {rows * high}">{"".join(cells)}</svg>'
 
 
-def _curves(series: Sequence[tuple[str, FloatArray, FloatArray]]) -> Plot:
-    """Curves of metres against seconds, drawn in mm; the last as points."""
-    figure = go.Figure()
-    for (name, t_s, values_m), colour in zip(series, (QUIET, ADDED, MODEL), strict=True):
-        mode = "markers" if name == series[-1][0] else "lines"
-        x, y = listed(t_s, 4), in_mm(values_m)
-        figure.add_scatter(x=x, y=y, name=name, mode=mode, line_color=colour, marker_size=4)
-    return Plot.of(laid_out(figure, 400))
+def _curves(series: Sequence[tuple[str, FloatArray, FloatArray]]) -> str:
+    """Curves of metres against seconds, drawn in mm."""
+    wide, high, edge = 900.0, 320.0, 40.0
+    t = np.concatenate([s[1] for s in series])
+    y = np.concatenate([s[2] for s in series])
+    low, span = np.nanmin(y), max(float(np.nanmax(y) - np.nanmin(y)), 1e-6)
+    begin, lasts = t.min(), max(float(np.ptp(t)), 1e-6)
+    parts = []
+    for k, (name, t_s, values) in enumerate(series):
+        good = np.isfinite(values)
+        u = edge + (wide - 2 * edge) * (t_s[good] - begin) / lasts
+        v = high - edge - (high - 2 * edge) * (values[good] - low) / span
+        colour = ("#888", "#00798c", "#d1495b")[k % 3]
+        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(u, v, strict=True))
+        if k == len(series) - 1:
+            dots = "".join(
+                f'<circle cx="{a:.1f}" cy="{b:.1f}" r="1.6" fill="{colour}"/>'
+                for a, b in zip(u, v, strict=True)
+            )
+            parts.append(dots)
+        else:
+            parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+        place = f'x="{edge + 220 * k}" y="16" fill="{colour}" font-size="14"'
+        parts.append(f"<text {place}>{html.escape(name)}</text>")
+    for share in (0.0, 0.5, 1.0):
+        label = f"{(low + share * span) * 1e3:.1f}"
+        at = high - edge - (high - 2 * edge) * share
+        parts.append(f'<text x="0" y="{at:.0f}" font-size="12" fill="#555">{label}</text>')
+        across = edge + (wide - 2 * edge) * share
+        place = f'x="{across:.0f}" y="{high - 8}" font-size="12" fill="#555"'
+        parts.append(f"<text {place}>{abs(begin + share * lasts):.2f}</text>")
+    return f'<svg viewBox="0 0 {wide:.0f} {high:.0f}">{"".join(parts)}</svg>'
 
 
 def _dots(image: Image, pixels: FloatArray) -> Image:

@@ -16,7 +16,6 @@ import numpy as np
 
 from calib.cell import CellFit
 from calib.errors import CalibrationError
-from calib.grip import fit_grip
 from calib.plane import PlaneView
 from calib.store import CalibrationFileError, StoredCalibration, load, save
 from calib.timing import Delay
@@ -27,7 +26,7 @@ from cell.calibration.measure import Say
 from cell.calibration.report import camera_report, cell_report, grip_report, time_report
 from cell.calibration.session import CalibrationSession, opened
 from cell.files.atomic import write_atomic
-from cell.files.input_error import InputError
+from cell.files.input_error import InputError, Problem
 from cell.files.overwriting import check_output
 from cell.files.rescue import remedy, write_or_rescue
 from cell.settings import Settings
@@ -85,7 +84,7 @@ class CalibrationJob:
     ) -> None:
         if settings.calibration is None:
             message = "is missing; add `calibration: {}`, and leave out camera.view"
-            raise InputError.at(config, message, key="calibration")
+            raise InputError([Problem(config, 1, None, "calibration", message)])
         self._settings, self._config, self._seed = settings, config, seed
         self._say, self._ask, self._live, self._look = say, ask, live, look
         self._folder = settings.calibration.folder
@@ -199,13 +198,14 @@ class CalibrationJob:
             raise
 
     def _time(self, source: Path | None) -> StoredCalibration:
+        corrected_s = 0.0
         if source is None:
             move = self._move(view_of_stored(self._before("cell")))
             self._record("time", partial(raw.save_move, move=move))
         else:
             move = raw.read_move(source)
         times = conclude.times_from(move)
-        stored = conclude.stored_times(times, self._settings, len(move.stamps_s))
+        stored = conclude.stored_times(times, self._settings, len(move.stamps_s), corrected_s)
         self._report("time", time_report(stored, times, move))
         return stored
 
@@ -222,7 +222,7 @@ class CalibrationJob:
             shown = raw.read_cell(source)
             self._check_taken(source, [one.picture for one in shown.poses])
         views, troubles = grip.views_of(shown, view, self._settings)
-        fit = fit_grip(views, float(cell.error.get("map_rms_m", 0.0)))
+        fit = grip.grip_from(views, cell)
         stored = grip.stored_grip(fit, self._settings, troubles)
         self._report("grip", grip_report(stored, fit, views, shown, view))
         poor = self._too_poor(stored)

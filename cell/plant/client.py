@@ -18,6 +18,7 @@ from cell.plant.wire import (
     LinkError,
     NoCellError,
     ProtocolError,
+    has_unix_sockets,
     line_of,
     message_of,
     read_line,
@@ -140,7 +141,7 @@ class Client:
 
     @contextmanager
     def _conversation(self) -> Iterator[_Conversation]:
-        if not hasattr(socket, "AF_UNIX"):
+        if not has_unix_sockets():
             raise LinkError("this system has no Unix sockets: no cell can be reached")
         with socket.socket(socket.AF_UNIX) as connected:
             connected.settimeout(self._timeout_s)

@@ -18,6 +18,7 @@ from cell.plant.wire import (
     HEARTBEAT_S,
     LONGEST_LINE,
     LinkError,
+    has_unix_sockets,
     line_of,
     read_line,
     request_of,
@@ -291,6 +292,8 @@ def _listening_at(path: Path, stack: ExitStack) -> socket.socket:
     stack   closes and removes it
     raises  LinkError: another cell runs there, or there can be none
     """
+    if not has_unix_sockets():
+        raise LinkError("this system has no Unix sockets: no program can reach this cell")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _lock(path.with_name(f"{path.name}.lock"), stack)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import socket
 import tempfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -66,6 +67,11 @@ def socket_of(runs: Path) -> Path:
         return path
     name = hashlib.sha256(bytes(folder)).hexdigest()[:16]
     return Path(tempfile.gettempdir(), f"cable-cell-{name}.socket")
+
+
+def has_unix_sockets() -> bool:
+    """Whether this system has Unix sockets, which a link needs."""
+    return hasattr(socket, "AF_UNIX")
 
 
 def line_of(kind: str, data: Any) -> bytes:

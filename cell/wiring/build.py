@@ -61,8 +61,7 @@ from drivers.plane_mount import PlaneMount
 from drivers.priority import take_precedence
 from drivers.recording import CaptureOptions
 from drivers.serial_gripper import SerialGripper, SerialGripperOptions
-from drivers.ur import UrArm
-from drivers.ur_robot import UrOptions
+from drivers.ur import UrArm, UrOptions
 from drivers.urcap_gripper import UrcapGripper, UrcapGripperOptions
 
 #: Longest wait of a frame for the recorder in simulated time, s: it delays nothing else there.

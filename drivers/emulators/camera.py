@@ -26,7 +26,7 @@ from drivers.emulators.camera_stream import picture_header, stream_header
 from drivers.emulators.launch import EmulatorProcess, leave_interrupts_to_parent, serve_requests
 from drivers.interfaces import Image
 from drivers.priority import run_in_real_time
-from drivers.threads import GuardedThread, end_process, error_text, only_logged
+from drivers.threads import GuardedThread, end_process, only_logged
 
 
 class Scene(Protocol):
@@ -81,24 +81,24 @@ class TestCard:
 
 
 _POLL_S = 0.02  # polling interval of all waits
-#: From the middle of an exposure until the picture is requested from the scene, s: it may need
-#: measurements of other processes of that moment.
-_REQUEST_S = 0.006
-#: A picture that would leave that much too late is dropped, as in a real camera, s.
-_BACKLOG_S = 0.25
 
 
 @dataclass(frozen=True)
 class CameraEmulatorOptions:
     """Properties of the emulated camera.
 
+    poll_s     from the middle of an exposure until the picture is requested from the scene: it
+               may need measurements of other processes of that moment
     readout_s  from the middle of an exposure until the picture leaves the camera
+    backlog_s  a picture that would leave that much too late is dropped, as in a real camera
     """
 
     width_px: int = 1280
     height_px: int = 1024
     frame_rate_hz: float = 200.0
+    poll_s: float = 0.006
     readout_s: float = 0.012
+    backlog_s: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class StreamCounts:
     latest_s: float = 0.0
 
 
-class EmulatedCamera(EmulatorProcess[StreamFaults]):
+class EmulatedCamera(EmulatorProcess):
     """A camera in its own process, alive within a `with`; it ends when its parent does.
 
     scene    picklable; called in the camera's process
@@ -146,7 +146,8 @@ class EmulatedCamera(EmulatorProcess[StreamFaults]):
         address: tuple[str, int] = ("127.0.0.1", 0),
     ) -> None:
         options = options if options is not None else CameraEmulatorOptions()
-        super().__init__("camera", StreamFaults(), serve, (scene, options, address))
+        super().__init__("camera", serve, (scene, options, address))
+        self._faults = StreamFaults()
         self._host, self._port = address
 
     def started(self, port: int) -> None:
@@ -157,6 +158,16 @@ class EmulatedCamera(EmulatorProcess[StreamFaults]):
     def url(self) -> str:
         """URL that OpenCV opens."""
         return f"tcp://{self._host}:{self._port}"
+
+    @property
+    def faults(self) -> StreamFaults:
+        """Active faults."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: StreamFaults) -> None:
+        self._faults = faults
+        self.request("faults", faults)
 
     def notify(self, message: object) -> None:
         """Tell the scene something picklable.  Raises EmulatorError: it does not understand."""
@@ -182,10 +193,10 @@ def serve(
     cv2.setNumThreads(1)  # OpenCV's own threads would have to wait for the rest of the computer
     try:
         scene = factory()
-        _check(scene.picture(time.monotonic() - _REQUEST_S), options)
+        _check(scene.picture(time.monotonic() - options.poll_s), options)
         server = _Server(scene, options, address)
     except Exception as error:
-        door.send((False, error_text(error)))
+        door.send((False, f"{type(error).__name__}: {error}"))
         return
     # a camera does not slow down when the computer is busy; the arm's emulator goes before it
     run_in_real_time(PRIORITY)
@@ -299,14 +310,14 @@ class _Server:
         while not gone.is_set():
             faults = self.faults
             due_s += faults.slow / options.frame_rate_hz
-            sleep_until(due_s + _REQUEST_S)
+            sleep_until(due_s + options.poll_s)
             self._deliver_messages()
             if self._somebody_waits():
                 break  # the former reader has ended without closing
             if faults is not missing_of:
                 missing_of, missing = faults, faults.missing
-            behind = parcels.qsize() / options.frame_rate_hz > _BACKLOG_S
-            if behind or time.monotonic() > due_s + options.readout_s + _BACKLOG_S:
+            behind = parcels.qsize() / options.frame_rate_hz > options.backlog_s
+            if behind or time.monotonic() > due_s + options.readout_s + options.backlog_s:
                 self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
                 continue
             if missing > 0:

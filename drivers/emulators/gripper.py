@@ -28,7 +28,7 @@ class JawsObserver:
     active: bool
 
 
-class GripperProcess(EmulatorProcess[RobotiqFaults]):
+class GripperProcess(EmulatorProcess):
     """A gripper in its own process, alive within a `with`; it ends when its parent does.
 
     link     name of the serial line, a symbolic link that is made; None = the terminal's own name
@@ -36,12 +36,23 @@ class GripperProcess(EmulatorProcess[RobotiqFaults]):
     """
 
     def __init__(self, link: Path | None = None, address: int = 9) -> None:
-        super().__init__("gripper", RobotiqFaults(), serve, (link, address))
+        super().__init__("gripper", serve, (link, address))
+        self._faults = RobotiqFaults()
         self.port = "" if link is None else str(link)
 
     def started(self, port: str) -> None:
         """Take the name of the serial line."""
         self.port = port
+
+    @property
+    def faults(self) -> RobotiqFaults:
+        """Active faults; to change them, set a new object."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: RobotiqFaults) -> None:
+        self._faults = faults
+        self.request("faults", faults)
 
     def unplug(self) -> None:
         """Pull the cable, which is also its power: jaws stay, activation goes."""

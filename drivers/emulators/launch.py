@@ -13,11 +13,10 @@ import sys
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self
 
 from drivers.interfaces import FloatArray
 from drivers.rtde_wire import FAULT_PORT
-from drivers.threads import error_text
 
 _START_S = 120.0  # on a new computer the machine code is compiled first, a minute on a busy one
 _ANSWER_S = 5.0
@@ -38,12 +37,13 @@ class EmulatedController:
         host: str,
         version: str = "5.12.2.1101534",
         model: str = "UR5e",
+        time_scale: float = 1.0,
         start_rad: FloatArray | None = None,
     ) -> None:
         self.host = host
         self.version = version
         self._command = [sys.executable, "-m", "drivers.emulators.ur_server", "--host", host]
-        self._command += ["--version", version, "--model", model]
+        self._command += ["--version", version, "--model", model, "--time-scale", str(time_scale)]
         if start_rad is not None:
             self._command += ["--start-rad=" + ",".join(f"{q:.12g}" for q in start_rad)]
         self._process: subprocess.Popen[str] | None = None
@@ -90,23 +90,16 @@ class EmulatedController:
         return answer
 
 
-FaultsT = TypeVar("FaultsT")
-
-
-class EmulatorProcess(Generic[FaultsT]):
+class EmulatorProcess:
     """An emulator in a process of its own, alive within a `with`; it ends when its parent does.
 
-    name    in messages: "camera"
-    faults  at the beginning: none
-    serve   called in that process, with its end of a pipe and `args`; first sends the argument of
-            `started`, then answers with `serve_requests`
+    name   in messages: "camera"
+    serve  called in that process, with its end of a pipe and `args`; first sends the argument of
+           `started`, then answers with `serve_requests`
     """
 
-    def __init__(
-        self, name: str, faults: FaultsT, serve: Callable[..., None], args: tuple[object, ...]
-    ) -> None:
+    def __init__(self, name: str, serve: Callable[..., None], args: tuple[object, ...]) -> None:
         self._name = name
-        self._faults = faults
         self._serve = serve
         self._args = args
         self._lock = threading.Lock()
@@ -142,16 +135,6 @@ class EmulatorProcess(Generic[FaultsT]):
     def alive(self) -> bool:
         """Whether its process has not ended."""
         return self._process.is_alive()
-
-    @property
-    def faults(self) -> FaultsT:
-        """Active faults; to change them, set a new object."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: FaultsT) -> None:
-        self._faults = faults
-        self.request("faults", faults)
 
     def started(self, value: Any) -> None:
         """Process the value that the process sent when it was ready."""
@@ -192,7 +175,7 @@ def serve_requests(door: Connection, serve: Callable[[str, Any], object]) -> Non
             try:
                 answer = True, serve(name, content)
             except Exception as error:
-                answer = False, error_text(error)
+                answer = False, f"{type(error).__name__}: {error}"
             door.send(answer)
     except (EOFError, OSError):
         os._exit(0)

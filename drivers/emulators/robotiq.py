@@ -158,8 +158,8 @@ class EmulatedGripper:
     #: Where the jaws meet a cable.
     CABLE_COUNT = 200.0
 
-    def __init__(self, address: int = 9) -> None:
-        self.jaws = Jaws(self.CABLE_COUNT)
+    def __init__(self, address: int = 9, object_count: float | None = CABLE_COUNT) -> None:
+        self.jaws = Jaws(object_count)
         self._address = address
         # the slave end stays open: without any opener, reading the master fails
         self._master, self._slave = pty.openpty()

@@ -6,9 +6,8 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,6 @@ CYCLE_S = 0.002
 
 _UPLOAD_S = 0.05  # from the upload of a program until it runs
 _UNLOCK_AFTER_S = 5.0
-_SERIAL_NUMBER = "20225500001"
 _STOP_RAD_PER_S2 = 12.0  # when a program ends in motion
 _PROTECTIVE_RAD_PER_S2 = 40.0
 
@@ -66,12 +64,15 @@ _ROBOT_MODES = {_POWER_OFF: "POWER_OFF", _IDLE: "IDLE", _RUNNING: "RUNNING"}
 class ControllerOptions:
     """Properties of the emulated controller.
 
-    version    PolyScope version: major, minor, bugfix, build
-    start_rad  joints at which the arm stands at first
+    version     PolyScope version: major, minor, bugfix, build
+    time_scale  controller seconds per real second
+    start_rad   joints at which the arm stands at first
     """
 
     version: tuple[int, int, int, int] = (5, 12, 2, 1101534)
     model: UrModel = UR5E
+    time_scale: float = 1.0
+    serial_number: str = "20225500001"
     start_rad: tuple[float, ...] = HOME_RAD
 
 
@@ -113,6 +114,7 @@ class Controller:
         self.dashboard_lines = 0
         self.servo_gaps_s: deque[float] = deque(maxlen=60_000)  # between two writes of a motion
         self._servo_s: float | None = None
+        self._step_s = CYCLE_S * options.time_scale
         self.payload_kg = 0.0
         self._script: ControlScript | None = None
         self._uploaded: tuple[float, int] | None = None  # when it starts, register offset
@@ -130,13 +132,13 @@ class Controller:
 
     def tick(self) -> None:
         """One controller cycle."""
-        self.time_s += CYCLE_S
+        self.time_s += self._step_s
         if self._uploaded is not None and self.time_s >= self._uploaded[0]:
             self._start(self._uploaded[1])
         if self._script is not None and self.runtime is Runtime.PLAYING:
             self._run_script(self._script)
         elif self._coasting is not None:
-            if not self._coasting.step(self.joints, CYCLE_S, 1.0):
+            if not self._coasting.step(self.joints, self._step_s, 1.0):
                 self._coasting = None
         else:
             self.joints.rest()
@@ -145,12 +147,12 @@ class Controller:
 
     def miss(self, cycles: int) -> None:
         """Let time pass without doing anything: a controller's clock does not wait for it."""
-        self.time_s += cycles * CYCLE_S
+        self.time_s += cycles * self._step_s
         self.note(f"{cycles} cycles missed: this computer is too busy")
 
     def _run_script(self, script: ControlScript) -> None:
         try:
-            if not script.cycle(CYCLE_S, self.speed_fraction):
+            if not script.cycle(self._step_s, self.speed_fraction):
                 self.end_program("stopped by command")
                 return
         except ScriptError as error:
@@ -213,10 +215,14 @@ class Controller:
     def protective_stop(self, why: str) -> None:
         """Stop hard; the program pauses until somebody unlocks and plays or uploads."""
         self._stop_for_safety(Safety.PROTECTIVE_STOP, why)
+        if self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
 
     def safeguard_stop(self) -> None:
         """A guard is open: the program pauses."""
         self._stop_for_safety(Safety.SAFEGUARD_STOP, "a guard is open")
+        if self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
 
     def emergency_stop(self) -> None:
         """The button is pressed: power goes off, the program ends."""
@@ -249,8 +255,6 @@ class Controller:
         self.safety = safety
         self._stopped_s = self.time_s
         self._coast(_PROTECTIVE_RAD_PER_S2)
-        if self.runtime is Runtime.PLAYING:
-            self.runtime = Runtime.PAUSED
         self.note(f"{safety}: {why}")
 
     # --- RTDE ---------------------------------------------------------------------------------
@@ -291,6 +295,10 @@ class Controller:
         elif register in (0, 24):
             self._servo_s = None
 
+    def outputs(self, names: Sequence[str]) -> list[Value]:
+        """Values of output variables now."""
+        return self.reader(names)()
+
     def reader(self, names: Sequence[str]) -> Callable[[], list[Value]]:
         """Function that returns the values of output variables, for 500 calls a second."""
         getters = [_getter(name) for name in names]
@@ -303,27 +311,6 @@ class Controller:
             self._posed_at, self._posed = at, pose_of(self.joints.tool()).tolist()
         return self._posed
 
-    def report(self) -> dict[str, Any]:
-        """State for tests: what an observer sees, and what has happened."""
-        return {
-            "t_s": time.monotonic(),
-            "q_rad": self.joints.q_rad.tolist(),
-            "pose": self.pose(),
-            "speed": self.joints.tool_speed().tolist(),
-            "runtime": self.runtime.name,
-            "safety": self.safety.value,
-            "last_moved_s": self.last_moved_s,
-            "servo_writes": self.servo_writes,
-            "dashboard_lines": self.dashboard_lines,
-            "events": [asdict(event) for event in self.events],
-        }
-
-    def take_servo_gaps(self) -> list[float]:
-        """Times between two writes of a motion since the last call, s."""
-        gaps_s = list(self.servo_gaps_s)
-        self.servo_gaps_s.clear()
-        return gaps_s
-
     # --- dashboard ----------------------------------------------------------------------------
 
     def dashboard(self, line: str) -> str:
@@ -335,7 +322,7 @@ class Controller:
             case "polyscopeversion":
                 return "URSoftware {}.{}.{}.{} (Jul 06 2022)".format(*self.options.version)
             case "get serial number":
-                return _SERIAL_NUMBER
+                return self.options.serial_number
             case "get robot model":
                 return self.options.model.name.removesuffix("e")
             case "is in remote control":

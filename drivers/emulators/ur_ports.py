@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import socket
 import struct
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -24,7 +26,6 @@ from drivers.rtde_wire import (
     Value,
     names_in,
 )
-from drivers.threads import error_text
 
 _RTDE_HZ = 1.0 / CYCLE_S
 _MAX_BACKLOG = 65536  # a slow reader loses packets rather than time
@@ -39,8 +40,28 @@ class PortServer(Protocol):
         """Input variables claimed by other clients."""
         ...
 
-    def act(self, op: str, **arguments: Any) -> dict[str, Any]:
-        """Cause a fault or tell something.  Raises KeyError, TypeError: not understood."""
+    def drop(self, ports: tuple[int, ...] = ...) -> None:
+        """Close the connections of these ports."""
+        ...
+
+    def freeze(self, seconds: float) -> None:
+        """Neither read nor send for a while."""
+        ...
+
+    def refuse(self, on: bool) -> None:
+        """Refuse new connections, or accept them again."""
+        ...
+
+    def send_garbage(self, size: int = ...) -> None:
+        """Send random bytes to every RTDE client."""
+        ...
+
+    def power_cycle(self, seconds: float) -> None:
+        """Switch off, and on again after a while."""
+        ...
+
+    def become(self, version: str) -> None:
+        """Have other software from now on."""
         ...
 
 
@@ -192,10 +213,58 @@ class PortFaults(_Lines):
         """Serve a request."""
         try:
             request = json.loads(text)
-            answer = self.server.act(**request)
+            answer = self._act(request.pop("op"), request)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            answer = {"error": error_text(error)}
+            answer = {"error": f"{type(error).__name__}: {error}"}
         self.send((json.dumps(answer) + "\n").encode())
+
+    def _act(self, op: str, request: dict[str, Any]) -> dict[str, Any]:
+        server, controller = self.server, self.server.controller
+        actions: Mapping[str, Callable[..., None]] = {
+            "protective_stop": lambda: controller.protective_stop("injected"),
+            "safeguard_stop": controller.safeguard_stop,
+            "emergency_stop": controller.emergency_stop,
+            "clear": controller.clear_safety,
+            "home": controller.put_home,
+            "end_program": lambda: controller.end_program("injected"),
+            "local": lambda on: setattr(controller, "remote_control", not on),
+            "speed_fraction": lambda value: setattr(controller, "speed_fraction", float(value)),
+            "speed_scaling": lambda value: setattr(controller, "speed_scaling", float(value)),
+            "brakes": lambda on: setattr(controller, "robot_mode", 5 if on else 7),
+            "drop": server.drop,
+            "freeze": server.freeze,
+            "refuse": server.refuse,
+            "garbage": server.send_garbage,
+            "power_cycle": server.power_cycle,
+            "version": server.become,
+            "inputs": controller.set_inputs,
+            "hold_outputs": lambda mask: setattr(controller, "held_outputs", int(mask)),
+        }
+        if op == "state":
+            return _state_of(controller)
+        if op == "outputs":
+            return {"bits": controller.digital_outputs}
+        if op == "servo_gaps":
+            gaps_s = list(controller.servo_gaps_s)
+            controller.servo_gaps_s.clear()
+            return {"gaps_s": gaps_s}
+        actions[op](**request)
+        return {"t_s": time.monotonic()}
+
+
+def _state_of(controller: Controller) -> dict[str, Any]:
+    return {
+        "t_s": time.monotonic(),
+        "q_rad": controller.joints.q_rad.tolist(),
+        "pose": list(controller.outputs(["actual_TCP_pose"])[0]),  # type: ignore[arg-type]
+        "speed": controller.joints.tool_speed().tolist(),
+        "runtime": controller.runtime.name,
+        "safety": controller.safety.value,
+        "last_moved_s": controller.last_moved_s,
+        "servo_writes": controller.servo_writes,
+        "dashboard_lines": controller.dashboard_lines,
+        "events": [dataclasses.asdict(e) for e in controller.events],
+    }
 
 
 PORTS: Mapping[int, type[PortConnection]] = {

@@ -18,9 +18,7 @@ import selectors
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 from drivers.emulators.ur_arm import HOME_RAD
 from drivers.emulators.ur_controller import CYCLE_S, Controller, ControllerOptions
@@ -72,34 +70,6 @@ class UrServer:
         return set().union(*(c.inputs() for c in others)) if others else set()
 
     # --- faults -------------------------------------------------------------------------------
-
-    def act(self, op: str, **arguments: Any) -> dict[str, Any]:
-        """Cause a fault or tell something.  Raises KeyError, TypeError: not understood."""
-        controller = self.controller
-        actions: Mapping[str, Callable[..., dict[str, Any] | None]] = {
-            "protective_stop": lambda: controller.protective_stop("injected"),
-            "safeguard_stop": controller.safeguard_stop,
-            "emergency_stop": controller.emergency_stop,
-            "clear": controller.clear_safety,
-            "home": controller.put_home,
-            "end_program": lambda: controller.end_program("injected"),
-            "local": lambda on: setattr(controller, "remote_control", not on),
-            "speed_fraction": lambda value: setattr(controller, "speed_fraction", float(value)),
-            "speed_scaling": lambda value: setattr(controller, "speed_scaling", float(value)),
-            "brakes": lambda on: setattr(controller, "robot_mode", 5 if on else 7),
-            "drop": self.drop,
-            "freeze": self.freeze,
-            "refuse": self.refuse,
-            "garbage": self.send_garbage,
-            "power_cycle": self.power_cycle,
-            "version": self.become,
-            "inputs": controller.set_inputs,
-            "hold_outputs": lambda mask: setattr(controller, "held_outputs", int(mask)),
-            "state": controller.report,
-            "outputs": lambda: {"bits": controller.digital_outputs},
-            "servo_gaps": lambda: {"gaps_s": controller.take_servo_gaps()},
-        }
-        return actions[op](**arguments) or {"t_s": time.monotonic()}
 
     def drop(self, ports: tuple[int, ...] = (RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT)) -> None:
         """Close the connections of these ports."""
@@ -229,6 +199,7 @@ def main() -> None:
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--version", default="5.12.2.1101534", help="PolyScope version")
     parser.add_argument("--model", default="UR5e", choices=sorted(MODELS))
+    parser.add_argument("--time-scale", type=float, default=1.0)
     parser.add_argument("--start-rad", help="six joint angles at which the arm stands at first")
     arguments = parser.parse_args()
     if not arguments.host.startswith("127."):
@@ -237,6 +208,7 @@ def main() -> None:
     options = ControllerOptions(
         read_version(arguments.version),
         MODELS[arguments.model],
+        arguments.time_scale,
         start_rad=HOME_RAD if start is None else tuple(float(q) for q in start.split(",")),
     )
     try:

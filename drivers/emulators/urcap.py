@@ -53,12 +53,13 @@ class EmulatedUrcap:
     """The server at `host` and `port`, served by a thread within a `with`.
 
     jaws  the gripper on the tool flange
+    port  0 = any that is free
     """
 
-    def __init__(self, jaws: Jaws) -> None:
+    def __init__(self, jaws: Jaws, host: str = "127.0.0.1", port: int = 0) -> None:
         self.jaws = jaws
         self.plugged = True
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server((host, port))
         self.host, self.port = self._listener.getsockname()[:2]
         self._clients: list[socket.socket] = []
         self._wake, self._waker = os.pipe()

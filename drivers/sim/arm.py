@@ -24,10 +24,6 @@ from drivers.servo import servo_response
 from drivers.sim.world import SimWorld
 
 _NOISE_BLOCK = 1024
-#: Standard deviation of the measured angle.
-_NOISE_RAD = 2e-5
-#: Time in which a stop brings it to rest, and a controller's own stop or its watchdog, s.
-_STOP_S, _FAULT_STOP_S = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -55,12 +51,18 @@ class ArmTwinOptions:
     true_lag_s      its true lag; None = as reported
     rate_hz         rate of poses streamed and logged
     noise_m         standard deviation of a measured coordinate
+    noise_rad       standard deviation of the measured angle
+    stop_s          time in which a stop brings it to rest
+    fault_stop_s    the same for a controller's own stop and for its watchdog
     """
 
     lag_s: float = 0.03
     true_lag_s: float | None = None
     rate_hz: float = 500.0
     noise_m: float = 10e-6
+    noise_rad: float = 2e-5
+    stop_s: float = 0.1
+    fault_stop_s: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,14 @@ class _Followed:
 class SimArm:
     """An arm in a simulated world."""
 
-    name = "arm"
-
     def __init__(
         self,
         world: SimWorld,
         options: ArmTwinOptions | None = None,
         seed: int = 0,
+        name: str = "arm",
     ) -> None:
+        self.name = name
         self._world = world
         self._clock = world.clock
         self._options = options if options is not None else ArmTwinOptions()
@@ -143,7 +145,7 @@ class SimArm:
     def close(self) -> None:
         """Stop and disconnect."""
         with self._world.lock:
-            self._world.halt(_STOP_S)
+            self._world.halt(self._options.stop_s)
             self._connected = False
 
     def state(self) -> ArmState:
@@ -209,7 +211,7 @@ class SimArm:
         self._latch(reason)  # before anything that might wait
         with self._world.lock:
             self._latch(reason)  # a reset under way may have cleared it meanwhile
-            self._world.halt(_STOP_S)
+            self._world.halt(self._options.stop_s)
 
     def reset(self) -> None:
         """Raises StoppedError while the controller itself is stopped; DeviceLostError."""
@@ -266,7 +268,7 @@ class SimArm:
                     self._happened.add(mode)
                     self._controller_stop = mode
                     self.stop(mode.value)
-                    self._world.halt(_FAULT_STOP_S)
+                    self._world.halt(self._options.fault_stop_s)
 
     def _came(self, t_s: float | None) -> bool:
         return t_s is not None and t_s <= self._clock.now_s()
@@ -274,7 +276,7 @@ class SimArm:
     def _lose(self, cause: str) -> None:
         """Fall silent; the controller's own watchdog stops the arm."""
         if self._connected and self._lost is None:
-            self._world.halt(_FAULT_STOP_S)
+            self._world.halt(self._options.fault_stop_s)
         self._lost = self._lost or cause
         self._connected = False
 
@@ -287,8 +289,8 @@ class SimArm:
             noise = rng.standard_normal((_NOISE_BLOCK, 3))
             here = blocks == block
             out[here] = noise[index[here] % _NOISE_BLOCK]
-        noise_m = self._options.noise_m
-        return out * (noise_m, noise_m, _NOISE_RAD)
+        o = self._options
+        return out * (o.noise_m, o.noise_m, o.noise_rad)
 
 
 _LOST_REMEDY = ArmMode.LOST.remedy

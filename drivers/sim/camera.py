@@ -14,13 +14,11 @@ from drivers.interfaces import (
     Frame,
     Image,
 )
-from drivers.recording import LOST_REMEDY
 from drivers.sim.pinhole import Sight
 from drivers.sim.render import LightArray, Patches, Rates, RenderOptions, backdrop, render
 from drivers.sim.world import SimView, SimWorld
 
-#: Time from the end of the exposure until a frame can be had, s.
-_READOUT_S = 0.004
+_LOST_REMEDY = "check the camera's cable and power, then connect again"
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,14 @@ class CameraTwinOptions:
     sight          where it really stands, and its lens: (3, 3) pixel → plane, m; or a `Pinhole`
     picture        appearance of the picture, exposure time included
     frame_rate_hz  frames per second
+    readout_s      time from the end of the exposure until a frame can be had
     stamps_late_s  stamp of a frame minus its true time of exposure
     """
 
     sight: Sight
     picture: RenderOptions = field(default_factory=RenderOptions)
     frame_rate_hz: float = 200.0
+    readout_s: float = 0.004
     stamps_late_s: float = 0.0
 
 
@@ -73,9 +73,10 @@ class Staging:
 class SimCamera:
     """A camera in a simulated world; frames are rendered only when read."""
 
-    name = "camera"
-
-    def __init__(self, world: SimWorld, options: CameraTwinOptions, seed: int = 0) -> None:
+    def __init__(
+        self, world: SimWorld, options: CameraTwinOptions, seed: int = 0, name: str = "camera"
+    ) -> None:
+        self.name = name
         self.faults = CameraFaults()
         self._staging = Staging()
         self._behind: LightArray | None = None
@@ -107,7 +108,7 @@ class SimCamera:
     def connect(self) -> None:
         """Raises ConnectError."""
         if self.faults.refuses_to_connect or self._came(self.faults.lost_at_s):
-            raise ConnectError(self.name, "no camera answers", LOST_REMEDY)
+            raise ConnectError(self.name, "no camera answers", _LOST_REMEDY)
         self._connected = True
 
     def close(self) -> None:
@@ -138,7 +139,7 @@ class SimCamera:
         index, exposure_s = self._next, self._options.picture.exposure_s
         exposed_s = self._start_s + index / self.frame_rate_hz + 0.5 * exposure_s
         late = self.faults.late_from is not None and index >= self.faults.late_from
-        ready_s = exposed_s + 0.5 * exposure_s + _READOUT_S
+        ready_s = exposed_s + 0.5 * exposure_s + self._options.readout_s
         self._clock.forward_to_s(ready_s + (self.faults.late_s if late else 0.0))
         self._check_alive(exposed_s)
         self._next += 1
@@ -155,7 +156,7 @@ class SimCamera:
         lost_s = self.faults.lost_at_s
         if lost_s is not None and exposed_s >= lost_s:
             self.close()
-            raise DeviceLostError(self.name, "frames no longer arrive", LOST_REMEDY)
+            raise DeviceLostError(self.name, "frames no longer arrive", _LOST_REMEDY)
 
     def _came(self, t_s: float | None) -> bool:
         return t_s is not None and t_s <= self._clock.now_s()

@@ -16,9 +16,6 @@ from drivers.interfaces import (
 )
 from drivers.sim.world import SimWorld
 
-#: Opening of open jaws, and of jaws on a cable, m.
-_OPEN_M, _CABLE_M = 0.085, 0.0001
-_CLOSING_S, _TIMEOUT_S = 0.4, 3.0
 _LOST_REMEDY = "check the gripper's cable and power, then connect again"
 
 
@@ -38,15 +35,27 @@ class GripperFaults:
     jams: bool = False  # the jaws move, but never come to rest in time
 
 
+@dataclass(frozen=True)
+class GripperTwinOptions:
+    """Properties of the simulated gripper."""
+
+    open_m: float = 0.085
+    cable_thickness_m: float = 0.0001
+    closing_s: float = 0.4
+    timeout_s: float = 3.0
+
+
 class SimGripper:
     """A gripper in a simulated world."""
 
-    name = "gripper"
-
-    def __init__(self, world: SimWorld) -> None:
+    def __init__(
+        self, world: SimWorld, options: GripperTwinOptions | None = None, name: str = "gripper"
+    ) -> None:
+        self.name = name
         self._world = world
         self._clock = world.clock
-        self._opening_m = _OPEN_M
+        self._options = options if options is not None else GripperTwinOptions()
+        self._opening_m = self._options.open_m
         self._faults = GripperFaults()
         self._connected = False
 
@@ -80,7 +89,7 @@ class SimGripper:
             raise LimitError(self.name, f"force = {force_n} N, must be > 0", "nothing was moved")
         self._move_jaws()
         taken = not self._faults.misses and self._world.take()
-        self._opening_m = _CABLE_M if taken else 0.0
+        self._opening_m = self._options.cable_thickness_m if taken else 0.0
         if not taken:
             raise GripError(
                 self.name, "nothing between the jaws", "present a cable at the grasping place"
@@ -90,10 +99,10 @@ class SimGripper:
     def release(self) -> GripperState:
         """Raises DeviceTimeoutError; DeviceLostError."""
         self._check_alive()
-        if self._opening_m < _OPEN_M:
+        if self._opening_m < self._options.open_m:
             self._world.drop()
             self._move_jaws()
-            self._opening_m = _OPEN_M
+            self._opening_m = self._options.open_m
         return self.state()
 
     def state(self) -> GripperState:
@@ -103,13 +112,13 @@ class SimGripper:
 
     def _move_jaws(self) -> None:
         if self._faults.jams:
-            self._clock.sleep_s(_TIMEOUT_S)
+            self._clock.sleep_s(self._options.timeout_s)
             raise DeviceTimeoutError(
                 self.name,
-                f"the jaws did not come to rest within {_TIMEOUT_S:.1f} s",
+                f"the jaws did not come to rest within {self._options.timeout_s:.1f} s",
                 "clear the jaws",
             )
-        self._clock.sleep_s(_CLOSING_S)
+        self._clock.sleep_s(self._options.closing_s)
         self._check_alive()
 
     def _lost(self) -> bool:
@@ -130,7 +139,7 @@ class SimGripper:
 
     def _slip(self) -> None:
         self._world.lose()
-        if self._opening_m < _OPEN_M:
+        if self._opening_m < self._options.open_m:
             self._opening_m = 0.0
 
     def _slide(self) -> None:

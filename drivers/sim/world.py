@@ -15,12 +15,6 @@ from drivers.sim.clock import SimClock
 
 #: Fewest points of a polyline that still looks like a cable at 5 px/mm.
 MIN_POINTS = 60
-#: Rate of the stored shapes; between them the view interpolates with cubics.
-_GRID_HZ = 1000.0
-#: How far beyond the last committed motion a simulation looks, s.
-_AHEAD_S = 1.5
-#: Time over which a velocity is measured, s.
-_SPAN_S = 0.002
 
 
 class CableShape(Protocol):
@@ -69,14 +63,20 @@ class SimWorld:
     The cable is simulated ahead, once per motion, and stored on a grid of times; a change of
     the committed motion drops the affected part of the grid.
 
-    clock  simulated time
-    home   pose of the gripping point at the start
+    clock    simulated time
+    home     pose of the gripping point at the start
+    grid_hz  rate of the stored shapes; between them the view interpolates with cubics
+    ahead_s  how far beyond the last committed motion a simulation looks
     """
 
-    def __init__(self, clock: SimClock, home: Pose) -> None:
+    def __init__(
+        self, clock: SimClock, home: Pose, grid_hz: float = 1000.0, ahead_s: float = 1.5
+    ) -> None:
         self.clock = clock
         self.lock = threading.RLock()
         self._hand = GripperTrajectory(clock.now_s(), home)
+        self._grid_hz = grid_hz
+        self._ahead_s = ahead_s
         self._waiting: deque[CableShape] = deque()
         self._further: Iterator[CableShape] = iter(())
         self._held: _Held | None = None
@@ -198,7 +198,7 @@ class SimWorld:
         return None
 
     def _shapes(self, held: _Held, t_s: FloatArray, grip: FloatArray) -> FloatArray:
-        position = (t_s - held.since_s) * _GRID_HZ
+        position = (t_s - held.since_s) * self._grid_hz
         grid = held.grid
         if grid is None or position[-1] > len(grid) - 3:
             grid = self._simulate(held, float(t_s[-1]))
@@ -214,9 +214,9 @@ class SimWorld:
     def _simulate(self, held: _Held, t_s: float) -> FloatArray:
         """Extend the grid of `held` beyond the committed motion and beyond `t_s`."""
         known = 0 if held.grid is None else len(held.grid)
-        end_s = max(self._hand.rests_from_s, self.clock.now_s(), t_s) + _AHEAD_S
-        count = int(np.ceil((end_s - held.since_s) * _GRID_HZ)) + 1
-        query_s = held.since_s + np.arange(known, count) / _GRID_HZ
+        end_s = max(self._hand.rests_from_s, self.clock.now_s(), t_s) + self._ahead_s
+        count = int(np.ceil((end_s - held.since_s) * self._grid_hz)) + 1
+        query_s = held.since_s + np.arange(known, count) / self._grid_hz
         new = np.asarray(
             held.shape(self._hand.motion(held.since_s, float(query_s[-1])), query_s),
             dtype=np.float64,
@@ -232,7 +232,7 @@ class SimWorld:
 
     def _forget_after(self, t_s: float) -> None:
         if self._held is not None and self._held.grid is not None:
-            known = int(np.floor((t_s - self._held.since_s) * _GRID_HZ)) + 1
+            known = int(np.floor((t_s - self._held.since_s) * self._grid_hz)) + 1
             self._held.grid = self._held.grid[:known] if known > 0 else None
 
 
@@ -272,10 +272,10 @@ class GripperTrajectory:
         x, y, angle = self.at(np.array([t_s]))[0]
         return Pose(float(x), float(y), float(angle))
 
-    def velocity(self, t_s: float) -> FloatArray:
-        """(3,) mean velocity over the 2 ms before a time, m/s, m/s, rad/s."""
-        before, now = self.at(np.array([t_s - _SPAN_S, t_s]))
-        return np.asarray((now - before) / _SPAN_S, dtype=np.float64)
+    def velocity(self, t_s: float, span_s: float = 0.002) -> FloatArray:
+        """(3,) mean velocity over the `span_s` before a time, m/s, m/s, rad/s."""
+        before, now = self.at(np.array([t_s - span_s, t_s]))
+        return np.asarray((now - before) / span_s, dtype=np.float64)
 
     def extend(self, path: Trajectory) -> None:
         """Commit to `path` (absolute times, beginning where the gripper rests)."""

@@ -18,9 +18,9 @@ from drivers.sim.clock import SimClock
 from drivers.sim.gripper import SimGripper
 from drivers.sim.render import RenderOptions
 from drivers.sim.world import SimWorld
+from drivers.ur import UrOptions
 from drivers.ur_kinematics import UR5E
 from drivers.ur_pose import pose_of
-from drivers.ur_robot import UrOptions
 
 HOME = Pose(0.5, 0.5, 0.0)
 #: An emulated gripper that is a thread of these tests may answer so late, s: on a busy computer the

@@ -43,7 +43,7 @@ class StreamRig:
         self._rng = np.random.default_rng(1)
         self._waits = False
         self.options = CaptureOptions(**{"settle_frames": 10, "connect_s": 1.0, **options})
-        self.camera = StreamingCamera(self._open, self.options, self.clock)
+        self.camera = StreamingCamera(self._open, self.options, self.clock, "cam")
 
     def _open(self):
         self.opened += 1
@@ -274,7 +274,7 @@ def test_opening_that_hangs_is_given_up_and_released_when_it_returns() -> None:
         let_go.wait(5.0)
         return bench
 
-    camera = StreamingCamera(hang, CaptureOptions(connect_s=0.05), bench.clock)
+    camera = StreamingCamera(hang, CaptureOptions(connect_s=0.05), bench.clock, "cam")
     with bench.in_vain(), pytest.raises(ConnectError, match="did not open within"):
         camera.connect()
     assert not bench.closed.is_set()

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.guard import (
     ArmLimits,
+    CameraLimits,
     GripperLimits,
     GuardedArm,
     GuardedCamera,
@@ -221,7 +222,7 @@ def test_a_bad_recording_is_an_error(cell, faults, message) -> None:
 
 
 def test_uneven_times_are_an_error(cell) -> None:
-    camera = GuardedCamera(cell.camera, cell.clock)
+    camera = GuardedCamera(cell.camera, cell.clock, CameraLimits(period_tolerance=0.5))
     camera.start(8)
     camera.read()
     cell.camera.faults = CameraFaults(stamp_error_s=0.003)

@@ -10,9 +10,8 @@ import pytest
 from drivers.emulators.launch import EmulatedController
 from drivers.interfaces import ConnectError
 from drivers.rtde_client import RtdeClient
-from drivers.ur import UrArm
+from drivers.ur import UrArm, UrOptions
 from drivers.ur_claim import COMMANDS, ClaimedError, claim
-from drivers.ur_robot import UrOptions
 from tests.waiting import wait_until
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from drivers.interfaces import ConnectError
 from drivers.plane_mount import PlaneMount
-from drivers.ur import UrArm
-from drivers.ur_robot import UrOptions
+from drivers.ur import UrArm, UrOptions
 
 
 @pytest.fixture

@@ -33,23 +33,66 @@ class Structure:
     fields: tuple[tuple[str, str], ...]
 
 
-#: Name, id and id of the encoding → fields, each with its type.
-_FIELDS = {
-    ("PackMLAlarmDataType", 15, 74): "ID Int32, Value Int32, Message String, Category Int32, "
-    "DateTime UtcTime, AckDateTime UtcTime, Trigger Boolean",
-    ("PackMLCountDataType", 14, 69): "ID Int32, Name String, Unit EUInformation, Count Int32, "
-    "AccCount Int32",
-    ("PackMLDescriptorDataType", 16, 77): "ID Int32, Name String, Unit EUInformation, Value Float",
-    ("PackMLIngredientsDataType", 17, 79): "IngredientID Int32, "
-    "Parameter PackMLDescriptorDataType[]",
-    ("PackMLProductDataType", 18, 81): "ProductID Int32, "
-    "ProcessVariables PackMLDescriptorDataType[], Ingredients PackMLIngredientsDataType[]",
-    ("PackMLRemoteInterfaceDataType", 19, 83): "Number Int32, ControlCmdNumber Int32, "
-    "CmdValue Int32, Parameter PackMLDescriptorDataType[]",
-}
-STRUCTURES = tuple(
-    Structure(*head, tuple((name, type_) for name, type_ in map(str.split, fields.split(", "))))
-    for head, fields in _FIELDS.items()
+STRUCTURES = (
+    Structure(
+        "PackMLAlarmDataType",
+        15,
+        74,
+        (
+            ("ID", "Int32"),
+            ("Value", "Int32"),
+            ("Message", "String"),
+            ("Category", "Int32"),
+            ("DateTime", "UtcTime"),
+            ("AckDateTime", "UtcTime"),
+            ("Trigger", "Boolean"),
+        ),
+    ),
+    Structure(
+        "PackMLCountDataType",
+        14,
+        69,
+        (
+            ("ID", "Int32"),
+            ("Name", "String"),
+            ("Unit", "EUInformation"),
+            ("Count", "Int32"),
+            ("AccCount", "Int32"),
+        ),
+    ),
+    Structure(
+        "PackMLDescriptorDataType",
+        16,
+        77,
+        (("ID", "Int32"), ("Name", "String"), ("Unit", "EUInformation"), ("Value", "Float")),
+    ),
+    Structure(
+        "PackMLIngredientsDataType",
+        17,
+        79,
+        (("IngredientID", "Int32"), ("Parameter", "PackMLDescriptorDataType[]")),
+    ),
+    Structure(
+        "PackMLProductDataType",
+        18,
+        81,
+        (
+            ("ProductID", "Int32"),
+            ("ProcessVariables", "PackMLDescriptorDataType[]"),
+            ("Ingredients", "PackMLIngredientsDataType[]"),
+        ),
+    ),
+    Structure(
+        "PackMLRemoteInterfaceDataType",
+        19,
+        83,
+        (
+            ("Number", "Int32"),
+            ("ControlCmdNumber", "Int32"),
+            ("CmdValue", "Int32"),
+            ("Parameter", "PackMLDescriptorDataType[]"),
+        ),
+    ),
 )
 
 #: Subtypes of HasComponent.

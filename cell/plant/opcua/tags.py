@@ -37,8 +37,7 @@ class Tag:
     path        browse names from the unit on, with dots
     type        of the data, as in the tables of `packml`
     meaning     a phrase
-    value       from the view and the time now on the computer's own clock; called once a cell was
-                reached, or if `always`
+    value       from the view and the time now on the computer's own clock
     always      valid without a cell, too; others keep their last value then, marked as uncertain
     reference, definition   reference type from its parent, and its type definition
     """
@@ -68,7 +67,12 @@ def packml_tag(path: str, meaning: str, value: Value, always: bool) -> Tag:
 
 def of(value: Callable[[Status], Any]) -> Value:
     """Reader of a variable that depends on the status alone; None becomes `NO_DATA`."""
-    return of_view(lambda view: value(view.known))
+
+    def read(view: PackmlView, now_s: float) -> Any:
+        result = None if view.status is None else value(view.status)
+        return NO_DATA if result is None else result
+
+    return read
 
 
 def of_view(value: Callable[[PackmlView], Any]) -> Value:
@@ -146,7 +150,9 @@ def _last(level: int, item: int) -> Value:
 
 def _speed(view: PackmlView) -> float | None:
     """Cables per minute, as the last cycle took; 0 while nothing moves."""
-    moves = view.known.state in ACTING
+    if view.status is None:
+        return None
+    moves = view.status.state in ACTING
     return 60.0 / view.cycle_s if moves and view.cycle_s else 0.0
 
 
@@ -178,15 +184,17 @@ def _alarm(past: PastFault) -> tuple[Any, ...]:
 
 def _alarms(view: PackmlView) -> tuple[tuple[Any, ...], ...]:
     """Faults that nobody has acknowledged."""
-    active = view.known.fault is not None
-    return tuple(_alarm(p) for p in view.faults[:1] if p.acknowledged_s is None and active)
+    known = view.status is not None and view.status.fault is not None
+    return tuple(_alarm(p) for p in view.faults[:1] if p.acknowledged_s is None and known)
 
 
 def _by_mode(seconds: Callable[[PackmlView, float], int]) -> Value:
     """A time for each mode, s."""
 
     def value(view: PackmlView, now_s: float) -> Any:
-        mode = packml.MODE_NUMBERS[view.known.mode]
+        if view.status is None:
+            return NO_DATA
+        mode = packml.MODE_NUMBERS[view.status.mode]
         return [seconds(view, now_s) if n == mode else 0 for n in range(len(packml.MODE_NAMES))]
 
     return value
@@ -196,10 +204,12 @@ def _by_state(seconds: Callable[[PackmlView, float], dict[CellState, float]]) ->
     """A time for each mode and state, s: rows are modes, columns numbers of states."""
 
     def value(view: PackmlView, now_s: float) -> Any:
+        if view.status is None:
+            return NO_DATA
         columns = 1 + max(map(number_of, CellState))
         rows = [[0] * columns for _ in packml.MODE_NAMES]
         for state, spent_s in seconds(view, now_s).items():
-            rows[packml.MODE_NUMBERS[view.known.mode]][number_of(state)] = int(spent_s)
+            rows[packml.MODE_NUMBERS[view.status.mode]][number_of(state)] = int(spent_s)
         return rows
 
     return value
@@ -214,7 +224,9 @@ def _all_states(view: PackmlView, now_s: float) -> dict[CellState, float]:
 
 
 def _this_state(view: PackmlView, now_s: float) -> dict[CellState, float]:
-    return {view.known.state: max(0.0, view.last_known_s(now_s) - view.entered_s)}
+    if view.status is None:
+        return {}
+    return {view.status.state: max(0.0, view.last_known_s(now_s) - view.entered_s)}
 
 
 def status_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
@@ -269,10 +281,14 @@ def admin_tags(design_per_minute: float | None) -> tuple[Tag, ...]:
         ("ModeCumulativeTime", "the same", _by_mode(_total), False),
         ("StateCurrentTime", "time in this state, s; [mode][state number]", in_state, False),
         ("StateCumulativeTime", "time in each state of this run, s", in_states, False),
-        ("AccTimeSinceReset", "time since the run began, s", _total, False),
+        ("AccTimeSinceReset", "time since the run began, s", _of_total, False),
         ("MachDesignSpeed", "as MachSpeed", of_view(lambda v: design_per_minute), True),
     )
     return tuple(packml_tag(f"Admin.{row[0]}", *row[1:]) for row in rows)
+
+
+def _of_total(view: PackmlView, now_s: float) -> Any:
+    return NO_DATA if view.status is None else _total(view, now_s)
 
 
 #: State of a cell that is not there.
@@ -309,44 +325,59 @@ def _result(entry: str, none: Any) -> Value:
 
 
 def _spent(state: CellState) -> Value:
-    return lambda view, now_s: round(view.seconds_at(now_s).get(state.value, 0.0), 3)
+    def read(view: PackmlView, now_s: float) -> Any:
+        seconds = view.seconds_at(now_s).get(state.value, 0.0)
+        return NO_DATA if view.status is None else round(seconds, 3)
+
+    return read
 
 
 def _counted(outcome: Outcome) -> Value:
     return of(lambda s: s.counts.get(outcome.value, 0))
 
 
-#: Of the present moment: name, type, meaning, value, and whether it is always valid.
-_NOW: tuple[tuple[Any, ...], ...] = (
-    ("Connected", "Boolean", "the cell is there", of_view(lambda v: v.connected), True),
-    ("State", "String", f"state; `{NOT_CONNECTED}` without a cell", of_view(_state_name), True),
-    ("StateCurrent", "Int32", "its number; 0 without a cell", of_view(_number), True),
-    ("StateSince", "DateTime", "when it began", of(lambda s: utc(s.since_s))),
-    ("Step", "String", "step of the cycle", of(lambda s: s.step or "")),
-    ("Cycle", "UInt32", "number of the cycle; 0 = none yet", of(lambda s: s.cycle)),
-    ("Part", "String", "id of the cable", of(lambda s: s.part or "")),
-    ("Product", "String", "what is made", of(lambda s: s.product or "")),
-    ("Products", "String[]", "what can be made", of(lambda s: list(s.products))),
-    ("WaitingFor", "String[]", "why nothing happens", of(lambda s: list(s.waiting_for))),
-    (
-        "Possible",
+_NOW = (
+    Tag("Cell.Connected", "Boolean", "the cell is there", of_view(lambda v: v.connected), True),
+    Tag(
+        "Cell.State",
+        "String",
+        f"state; `{NOT_CONNECTED}` without a cell",
+        of_view(_state_name),
+        True,
+    ),
+    Tag("Cell.StateCurrent", "Int32", "its number; 0 without a cell", of_view(_number), True),
+    Tag("Cell.StateSince", "DateTime", "when it began", of(lambda s: utc(s.since_s))),
+    Tag("Cell.Step", "String", "step of the cycle", of(lambda s: s.step or "")),
+    Tag("Cell.Cycle", "UInt32", "number of the cycle; 0 = none yet", of(lambda s: s.cycle)),
+    Tag("Cell.Part", "String", "id of the cable", of(lambda s: s.part or "")),
+    Tag("Cell.Product", "String", "what is made", of(lambda s: s.product or "")),
+    Tag("Cell.Products", "String[]", "what can be made", of(lambda s: list(s.products))),
+    Tag("Cell.WaitingFor", "String[]", "why nothing happens", of(lambda s: list(s.waiting_for))),
+    Tag(
+        "Cell.Possible",
         "String[]",
         "commands that this state accepts",
         of(lambda s: [event.value for event in s.possible]),
     ),
-    ("Refusal", "String", "why the last command was refused", of_view(lambda v: v.refusal), True),
-    (
-        "Acknowledged",
+    Tag(
+        "Cell.Refusal",
+        "String",
+        "why the last command was refused",
+        of_view(lambda v: v.refusal),
+        True,
+    ),
+    Tag(
+        "Cell.Acknowledged",
         "String",
         "who said what about the last fault",
         of_view(lambda v: v.acknowledged),
         True,
     ),
-    ("Line", "String", "the line, as in the ledger", of(lambda s: s.line)),
-    ("Run", "String", "identifies the cell's process", of(lambda s: s.run)),
-    ("Model", "String", "hash of the model", of(lambda s: s.model or "")),
-    ("Calibration", "String", "hash of the calibration", of(lambda s: s.calibration or "")),
-    ("Software", "String", "version of the program", of(lambda s: s.software)),
+    Tag("Cell.Line", "String", "the line, as in the ledger", of(lambda s: s.line)),
+    Tag("Cell.Run", "String", "identifies the cell's process", of(lambda s: s.run)),
+    Tag("Cell.Model", "String", "hash of the model", of(lambda s: s.model or "")),
+    Tag("Cell.Calibration", "String", "hash of the calibration", of(lambda s: s.calibration or "")),
+    Tag("Cell.Software", "String", "version of the program", of(lambda s: s.software)),
 )
 
 #: Of a fault: name, type, meaning, entry of the notice, and value without a fault.
@@ -377,7 +408,7 @@ _FAULTED = of(lambda s: s.fault is not None)
 
 #: All of them.
 CELL_TAGS = (
-    *(Tag(f"Cell.{name}", *row) for name, *row in _NOW),
+    *_NOW,
     Tag("Cell.Fault.Active", "Boolean", "nobody has acknowledged it", _FAULTED),
     *(Tag(f"Cell.Fault.{n}", kind, what, _fault(e, none)) for n, kind, what, e, none in _FAULT),
     *(

@@ -112,8 +112,9 @@ class Unit:
         """
         at = datetime.fromtimestamp(at_s, UTC)
         for tag in self._tags:
-            known = tag.always or view.status is not None
-            value = tag.value(view, now_s) if known else NO_CELL
+            value = tag.value(view, now_s)
+            if not tag.always and view.status is None:
+                value = NO_CELL
             stale = not (tag.always or view.connected or isinstance(value, Missing))
             new = (value, stale)
             if tag.path in self._shown and self._shown[tag.path] == new:

@@ -51,12 +51,6 @@ class PackmlView:
     refusal: str = ""
 
     @property
-    def known(self) -> Status:
-        """The status of a cell that was reached."""
-        assert self.status is not None
-        return self.status
-
-    @property
     def connected(self) -> bool:
         """Whether the cell is there."""
         return self.lost_s is None
@@ -123,7 +117,9 @@ class PackmlView:
 
     def _after_transition(self, before: PackmlView, now_s: float) -> PackmlView:
         """This view, updated by the transition of the state from the former view."""
-        level, name, known = transition_between(before.known.state, self.known.state)
+        assert before.status is not None
+        assert self.status is not None
+        level, name, known = transition_between(before.status.state, self.status.state)
         newest = (name, None if known is None else known.id)
         return replace(
             self,

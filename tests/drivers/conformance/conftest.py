@@ -163,7 +163,7 @@ def files_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
 def opencv_camera(request: pytest.FixtureRequest) -> Iterator[CameraBench]:
     stream = request.getfixturevalue("emulated_camera")
     clock = RealClock()
-    options = OpenCvOptions(stream.url, width_px=160, height_px=120, exposure_s=None)
+    options = OpenCvOptions(stream.url, 160, 120, 200.0, exposure_s=None)
     lose = faulty(stream, lambda: StreamFaults(silent=True))
     refuse = faulty(stream, lambda: StreamFaults(refuses=True))
     yield CameraBench(OpenCvCamera(options, clock), clock, lose, refuse)

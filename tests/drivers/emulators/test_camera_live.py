@@ -207,9 +207,7 @@ def test_a_camera_films_an_emulated_arm(controller, rod) -> None:
         with pytest.raises(EmulatorError, match="'cable' is neither"):
             stream.notify("cable")
         stream.notify(rod)
-        options = OpenCvOptions(
-            stream.url, width_px=200, height_px=200, frame_rate_hz=100.0, exposure_s=None
-        )
+        options = OpenCvOptions(stream.url, 200, 200, 100.0, exposure_s=None)
         camera = OpenCvCamera(options, clock)
         camera.connect()
         camera.start(1)

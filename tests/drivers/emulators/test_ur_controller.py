@@ -70,7 +70,7 @@ def test_safety_stops_bring_the_arm_to_rest_and_keep_it_there(
     stop(controller)
     ticks(controller, 25)
     assert not moving(controller)
-    (bits,) = controller.reader(["safety_status_bits"])()
+    (bits,) = controller.outputs(["safety_status_bits"])
     assert bits >> bit & 1 and bits >> 10 & 1 and not bits & 1
     assert controller.dashboard("safetymode") == f"Safetymode: {safety}"
     controller.upload(PROGRAM)
@@ -134,10 +134,18 @@ def test_dashboard_answers_letter_by_letter(controller, line, answer) -> None:
     assert controller.dashboard(line) == answer
 
 
+def test_time_scale_makes_it_faster() -> None:
+    slow, fast = (Controller(ControllerOptions(time_scale=s)) for s in (1.0, 10.0))
+    began = slow.time_s
+    ticks(slow, 100)
+    ticks(fast, 100)
+    assert fast.time_s - began == pytest.approx(10.0 * (slow.time_s - began))
+
+
 def test_a_busy_computer_makes_it_miss_cycles_but_not_lose_time() -> None:
-    controller = Controller(ControllerOptions())
+    controller = Controller(ControllerOptions(time_scale=2.0))
     before_s = controller.time_s
     controller.tick()
     controller.miss(50)
-    assert controller.time_s - before_s == pytest.approx(51 * 0.002)
+    assert controller.time_s - before_s == pytest.approx(51 * 0.004)
     assert "50 cycles missed" in controller.events[-1].what
