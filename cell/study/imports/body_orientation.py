@@ -77,18 +77,15 @@ def angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]:
     return own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
 
 
-#: A column that states its place in a quaternion; the first form is that of `robot_poses`.
-_STATES_AXIS = re.compile(r"(?:.*\bquaternion |.*[^ ])([xyzw])")
+#: A column that states its place in a quaternion: letters of unnamed columns follow a space.
+_STATES_AXIS = re.compile(r".*[^ ]([xyzw])")
 
 
-def forms_of_four(four: Sequence[str]) -> list[AngleSection]:
-    """Interpretations of a quaternion: w is last, or first if the names do not state it.
-
-    An array without names of its columns gets letters behind its own name.
-    """
+def forms_of_four(capture: Capture, four: Sequence[str]) -> list[AngleSection]:
+    """Interpretations of a quaternion: w is last; or first, if the file does not state it."""
     orders = [four, (*four[1:], four[0])]
     named = (_STATES_AXIS.fullmatch(name.lower()) for name in four)
-    if [match and match[1] for match in named] == [*"xyzw"]:
+    if capture.are_computed(four) or [match and match[1] for match in named] == [*"xyzw"]:
         orders = [four]
     return [AngleSection(quaternion=[*order]) for order in orders]
 
@@ -141,7 +138,7 @@ class BodyTurn:
 def body_turn(capture: Capture, inside: Contents, hand: str, root: Root) -> BodyTurn | None:
     """How the gripper turns in all trials; None = it hardly does, or not about one axis."""
     four = quaternion_of(capture, inside, hand)
-    groups = [forms_of_four(four)] if four else forms_of_three(capture, inside, hand)
+    groups = [forms_of_four(capture, four)] if four else forms_of_three(capture, inside, hand)
     for forms in groups:
         turns = [t for form in forms if (t := _turn(capture, form, root)) is not None]
         least = min((tilt for _, tilt in turns), default=0.0)

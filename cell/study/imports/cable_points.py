@@ -13,7 +13,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.imports.capture import ImportFindings
 from cell.study.imports.contents import HAND, Point
-from cell.study.imports.shape import OF_NOISE, chain, middle, reach_of, rest_rows
+from cell.study.imports.shape import FINAL_SHARE, OF_NOISE, chain, middle, reach_of, rest_rows
 from cell.study.imports.units import METRES
 from cell.study.series import noise_m
 
@@ -32,8 +32,6 @@ _RARE = 0.15
 _UNLABELED = frozenset(("unlabeled", "unlabelled", "unidentified", "unassigned"))
 #: Words for a gripper that may also name the cable's end at it.
 _OF_CABLE_TOO = frozenset(("root", "base"))
-#: Final share of the record, in which the gripper rests and the cable still swings.
-_FINAL_SHARE = 0.3
 #: A chain's end swings if its motion with the tip exceeds this share of the tip's and this multiple
 #: of its standard error, in more than so many rows.
 _SWINGS, _SIGNIFICANT, _FEWEST_LATE = 0.01, 5.0, 20
@@ -101,7 +99,7 @@ def on_the_gripper(
     most = max((reach_of(raw[p.name], _CUT) for p in named), default=0.0)
     still = [p for p in named if len(named) > 1 and _rests(raw[p.name], most)]
     if still and len(still) < len(named):
-        _left_out(still, "does not move, but the gripper does", findings)
+        _report_omitted(still, "does not move, but the gripper does", findings)
         named = [p for p in named if p not in still]
     if not named or not cable:
         return named, cable
@@ -128,7 +126,7 @@ def _is_weak(point: Point) -> bool:
     return not (words & HAND) - _OF_CABLE_TOO
 
 
-def _left_out(points: Sequence[Point], why: str, findings: ImportFindings) -> None:
+def _report_omitted(points: Sequence[Point], why: str, findings: ImportFindings) -> None:
     for p in points:
         findings.shown("markers", f"{p.name!r} {why}: it is left out")
 
@@ -138,7 +136,7 @@ def labeled(cable: Sequence[Point], findings: ImportFindings) -> list[Point]:
     named = [p for p in cable if p.name.split()[0] not in _UNLABELED]
     if named:
         unlabeled = [p for p in cable if p not in named]
-        _left_out(unlabeled, "is no marker of the cable by its name", findings)
+        _report_omitted(unlabeled, "is no marker of the cable by its name", findings)
     return named or list(cable)
 
 
@@ -147,7 +145,7 @@ def detected_often(cable: Sequence[Point], raw: Places, findings: ImportFindings
     counts = {p.name: int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in cable}
     median_count = float(np.median(list(counts.values()))) if cable else 0.0
     never = [p for p in cable if not counts[p.name]]
-    _left_out(never, "is never seen", findings)
+    _report_omitted(never, "is never seen", findings)
     rare = [p for p in cable if 0 < counts[p.name] < _RARE * median_count]
     for p in rare:
         sentence = f"{p.name!r} is seen in {counts[p.name]} of {len(raw[p.name])} rows, other "
@@ -171,7 +169,7 @@ def moving(
     of_hand = max((reach_of(raw[p.name], _CUT) for p in named), default=0.0)
     if of_hand > _AT_REST * largest:
         resting = [p for p in cable if reach_of(raw[p.name], _CUT) < _AT_REST * of_hand]
-        _left_out(resting, "rests while the gripper moves: it is not on the cable", findings)
+        _report_omitted(resting, "rests while the gripper moves: it is not on the cable", findings)
         return [p for p in cable if p not in resting], None
     exact = [p for p in cable if reach_of(raw[p.name]) <= STAYS * largest]
     resting = [p for p in cable if p in exact or (not named and _rests(raw[p.name], largest))]
@@ -181,7 +179,7 @@ def moving(
     clamps = [p for p in exact if p in holding]
     clamp = clamps[0] if len(clamps) == 1 and not named and not elsewhere else None
     strangers = [p for p in resting if p is not clamp]
-    _left_out(strangers, "never moves: it is not on the cable", findings)
+    _report_omitted(strangers, "never moves: it is not on the cable", findings)
     return [p for p in cable if p not in resting], clamp
 
 
@@ -240,7 +238,7 @@ def of_one_cable(
         if i < len(named) or len(of_motion) < 2 + bool(named) or i in of_motion:
             continue
         if i not in of_length:
-            _left_out([p], "is farther from the others than the cable is long", findings)
+            _report_omitted([p], "is farther from the others than the cable is long", findings)
         else:
             sentence = f"{p.name!r} keeps no distance to another point, as neighbours on a cable do"
             findings.guessed("markers", f"{sentence}: it is left out")
@@ -271,7 +269,7 @@ def from_end(cable: Sequence[Point], raw: Places) -> list[Point]:
 
 def _late(places: FloatArray) -> FloatArray:
     """The last rows of positions (rows, d)."""
-    return places[int((1.0 - _FINAL_SHARE) * len(places)) :]
+    return places[int((1.0 - FINAL_SHARE) * len(places)) :]
 
 
 def swing_share(end: FloatArray, tip: FloatArray) -> float:

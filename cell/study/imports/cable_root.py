@@ -23,7 +23,7 @@ CURVE_STD = 0.0125
 #: By one more marker the root's error becomes smaller by at least this factor.
 _REFINES = 3.0
 #: Number of points that determine a line without a bend; minimum for extrapolating a curve.
-A_LINE, _MIN_CURVE = 2, 3
+A_LINE, MIN_CURVE = 2, 3
 #: Rotation above which the cable's root determines the sign of an angle, rad.
 MIN_ROTATION = 0.05
 #: Number of medians of a trial by which two rotations are compared, and the difference of their
@@ -57,16 +57,21 @@ class Root:
     rest_rad   at rest
     is_line    estimated by the line to the only marker, from which a drooping cable departs
     error_rad  estimated error of `rest_rad`, for its few points
-    ends       of the trials that begin at rest
-    others     those of the other trials
+    first      at beginning and end of the first trial; None = it begins in motion
+    others     of the other trials that begin at rest
     """
 
     angle_rad: FloatArray
     rest_rad: float
     is_line: bool = False
     error_rad: float = 0.0
-    ends: tuple[RootEnds, ...] = ()
+    first: RootEnds | None = None
     others: tuple[RootEnds, ...] = ()
+
+    @property
+    def ends(self) -> tuple[RootEnds, ...]:
+        """Of all trials that begin at rest."""
+        return self.others if self.first is None else (self.first, *self.others)
 
     @property
     def agrees_rad(self) -> float:
@@ -99,8 +104,7 @@ def root_of_shape(shape: FloatArray, arcs: Sequence[float | None], from_gripper:
     is_line, error_rad = len(shape) <= A_LINE, 0.0
     if (curve := curve_to_gripper(shape, arcs, from_gripper)) is not None:
         angle = angle_of(curve(0.0, 1))
-        coarse = CubicSpline(np.delete(curve.x, 1), np.delete(shape, 1, axis=0))
-        error_rad = abs(wrapped(angle - angle_of(coarse(0.0, 1))))
+        error_rad = abs(wrapped(angle - angle_of(_without_second(curve)(0.0, 1))))
     else:
         angle = angle_of(root_direction(shape)) if len(shape) > 1 else 0.0
         if not is_line:
@@ -115,9 +119,19 @@ def curve_to_gripper(
     """(2,) position against arc length, extrapolated to the gripper; None if the first marker is at
     the gripper, or there are too few markers."""
     known = [a for a in arcs if a is not None]
-    if from_gripper or len(known) < _MIN_CURVE or len(known) != len(shape):
+    if from_gripper or len(known) < MIN_CURVE or len(known) != len(shape):
         return None
     return CubicSpline(known, shape)
+
+
+def start_of(curve: CubicSpline) -> tuple[FloatArray, float]:
+    """(2,) position at arc length 0, and its error, m: the change by a curve without the second
+    point."""
+    return curve(0.0), float(np.linalg.norm(curve(0.0) - _without_second(curve)(0.0)))
+
+
+def _without_second(curve: CubicSpline) -> CubicSpline:
+    return CubicSpline(np.delete(curve.x, 1), np.delete(curve(curve.x), 1, axis=0))
 
 
 def first_rows(values: FloatArray) -> FloatArray:

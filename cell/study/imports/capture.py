@@ -211,12 +211,14 @@ ROW_NUMBER = "row number"
 class CapturedColumn:
     """Name of a column, and the unit that the file states for it; empty = none.
 
-    words  categories of a text column: its values are indices into them; empty = numeric column
+    words     categories of a text column: its values are indices into them; empty = numeric column
+    computed  whether it is computed from other columns of the file
     """
 
     name: str
     unit: str = ""
     words: tuple[str, ...] = ()
+    computed: bool = False
 
 
 class TextForm(SectionPart):
@@ -288,6 +290,10 @@ class Capture:
         """The file with some of its columns."""
         columns = tuple(self.columns[i] for i in indices)
         return replace(self, columns=columns, values=self.values[:, list(indices)])
+
+    def are_computed(self, names: Sequence[str]) -> bool:
+        """Whether these columns are computed from others of the file."""
+        return all(c.computed for c in self.columns if c.name in names)
 
     def with_columns(self, columns: Sequence[CapturedColumn], values: FloatArray) -> Capture:
         """The file with further columns, and their values (rows, columns)."""

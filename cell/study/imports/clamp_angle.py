@@ -309,7 +309,7 @@ def _section_of_four(
     capture: Capture, four: Sequence[str], axes: AxesSection, root: Root, findings: ImportFindings
 ) -> AngleSection:
     """Section of a quaternion; to fill in if it does not turn as the root."""
-    section = section_of_body(capture, forms_of_four(four), axes, root, findings)
+    section = section_of_body(capture, forms_of_four(capture, four), axes, root, findings)
     if section is not None and section.quaternion != [*four]:
         sentence = f"{four[0]!r} is w, x, y and z follow: so it turns as the cable's root"
         findings.guessed("hand.angle", sentence)

@@ -13,13 +13,13 @@ from scipy.interpolate import CubicSpline
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
 from cell.files.yaml_document import Key
+from cell.study.imports.cable_root import MIN_CURVE, start_of
 from cell.study.imports.capture import Capture
 from cell.study.imports.choosing import MOVES
 from cell.study.imports.contents import Point, contents, with_names
 from cell.study.imports.gripper_proposal import TIP, initial_place
 from cell.study.imports.mapping import Mapping, ReadMapping, TrialEntry
 from cell.study.imports.places import places_m
-from cell.study.imports.plane_chain import start_of
 from cell.study.imports.row_trials import rows_of
 from cell.study.imports.shape import arc_lengths, middle, reach_of, resting
 from cell.study.imports.trials import (
@@ -30,9 +30,6 @@ from cell.study.imports.trials import (
     markers_m,
     origin_by_clamp,
 )
-
-#: Minimum number of markers for extrapolating a curve.
-_MIN_CURVE = 3
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,7 @@ def _origin_m(
             return _rounded(by_clamp), f"the gripper is {of.clamp.name!r}"
     arcs, rest = np.array([m.arc_length_m for m in of.mapping.markers], float), resting(places)
     at_m = initial_place(gripper_path_of(of.files, of.mapping).xy_m)
-    is_curve = len(arcs) >= _MIN_CURVE and bool(np.all(np.diff(arcs) > 0.0))
+    is_curve = len(arcs) >= MIN_CURVE and bool(np.all(np.diff(arcs) > 0.0))
     if not is_curve or rest is None or at_m is None or entry.start in ("held", "moving"):
         message = f"is null, and {entry.name} shows no 3 markers at rest to estimate it by; measure"
         message += " where the origin of the gripper's places is, as [x, y]"

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from cell.cable.arrays import FloatArray
 from cell.study.imports.cable_root import (
     A_LINE,
     Root,
     RootEnds,
-    curve_to_gripper,
     root_of_shape,
 )
 from cell.study.imports.capture import Capture
@@ -137,16 +135,3 @@ def root_ends(
         source = files.gripper or files.capture
         ends[-1] = RootEnds(source, roots[0].rest_rad, last_rad, std_rad)
     return ends
-
-
-def curve_from_gripper(scene: PlaneChain, arcs: Sequence[float | None]) -> CubicSpline | None:
-    """(2,) position against arc length, extrapolated to the gripper; None if the first marker is at
-    the gripper, or there are too few markers."""
-    return curve_to_gripper(scene.shape, arcs, scene.from_gripper)
-
-
-def start_of(curve: CubicSpline) -> tuple[FloatArray, float]:
-    """(2,) position at arc length 0, and its error, m: the change by a curve without the second
-    point."""
-    coarse = CubicSpline(np.delete(curve.x, 1), np.delete(curve(curve.x), 1, axis=0))
-    return curve(0.0), float(np.linalg.norm(curve(0.0) - coarse(0.0)))

@@ -68,7 +68,9 @@ def with_quaternions(capture: Capture) -> Capture:
             chosen = [parts[word] for word in angle_words.split()]
             values = _quaternions(capture, chosen, default, rotation)
             names = [f"{stem} quaternion {axis}".strip() for axis in "xyzw"]
-            capture = capture.with_columns([CapturedColumn(name) for name in names], values)
+            capture = capture.with_columns(
+                [CapturedColumn(name, computed=True) for name in names], values
+            )
     return capture
 
 
@@ -93,7 +95,8 @@ def _with_matrix(capture: Capture, stem: str, parts: list[CapturedColumn]) -> Ca
     body = _ROTATION.sub("", stem)
     quaternions = np.full((len(values), 4), np.nan)
     quaternions[valid] = Rotation.from_matrix(matrices[valid]).as_quat(canonical=False)
-    columns, added = [CapturedColumn(f"{body} quaternion {axis}") for axis in "xyzw"], [quaternions]
+    names = [f"{body} quaternion {axis}" for axis in "xyzw"]
+    columns, added = [CapturedColumn(name, computed=True) for name in names], [quaternions]
     if pose:
         unit = parts[_PLACE[0]].unit or "m"
         columns += [CapturedColumn(f"{body} position {axis}", unit) for axis in "xyz"]

@@ -11,7 +11,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
 from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
-from cell.study.imports.cable_root import A_LINE, Root, RootEnds
+from cell.study.imports.cable_root import A_LINE, Root, curve_to_gripper, start_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
@@ -37,7 +37,6 @@ from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
     PlaneChain,
-    curve_from_gripper,
     detected_points,
     root_at_rest,
     root_ends,
@@ -45,7 +44,6 @@ from cell.study.imports.plane_chain import (
     scene_of,
     shape_at_rest,
     shapes_of,
-    start_of,
 )
 from cell.study.imports.scales import (
     ROUNDED_M,
@@ -146,7 +144,8 @@ def _proposed(
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     arcs = _arcs(scene, chosen, stated, scale is not None, findings)
     stds = _arc_stds(scene, stated, arcs, findings)
-    root = _with_ends(root_at_rest(scene, arcs), root_ends(trials, points, chosen, axes, arcs))
+    at_ends, *others = root_ends(trials, points, chosen, axes, arcs)
+    root = replace(root_at_rest(scene, arcs), first=at_ends, others=tuple(filter(None, others)))
     if gripper is not None:
         is_timed = time.seconds_per_unit is not None
         lasts_s = float(np.ptp(times_s(first.capture, time))) if is_timed else None
@@ -196,12 +195,6 @@ def _on_one_clock(
     both = (inside, capture), (gripper.inside, gripper.capture)
     own = replace(gripper, inside=on_one_clock(*both[1], *both[0]))
     return on_one_clock(*both[0], *both[1]), own
-
-
-def _with_ends(root: Root, ends: Sequence[RootEnds | None]) -> Root:
-    """The root with those at the ends of all trials, the first trial's first."""
-    others = tuple(e for e in ends[1:] if e is not None)
-    return replace(root, ends=tuple(e for e in ends if e is not None), others=others)
 
 
 def _add_joined(files: Files, findings: ImportFindings) -> None:
@@ -421,7 +414,7 @@ def _with_origin(
 
     At rest the curve through the markers is extrapolated to the gripping point.
     """
-    curve = curve_from_gripper(scene, arcs)
+    curve = curve_to_gripper(scene.shape, arcs, scene.from_gripper)
     if hand.columns is None or gripper.initial is None or scale is None or curve is None:
         return hand
     (start_m, error_m), length_m = start_of(curve), float(curve.x[-1])
@@ -488,9 +481,9 @@ def _add_unused_of_gripper(
     if gripper is None:
         return
     capture, of_angle, inside = gripper.capture, hand.angle, gripper.inside
-    used = {of_angle.column, *(of_angle.rotation or ()), *(of_angle.quaternion or ())}
-    if any(name.endswith("quaternion x") for name in used if name):
+    if of_angle.quaternion and capture.are_computed(of_angle.quaternion):
         return
+    used = {of_angle.column, *(of_angle.rotation or ()), *(of_angle.quaternion or ())}
     names = [n for n, _ in inside.angles] + [n for _, four in inside.quaternions for n in four]
     unused = [n for n in names if n not in used and np.nanstd(capture.column(n)) > 0.0]
     if unused:

@@ -150,10 +150,20 @@ def test_a_stated_angle_of_a_gripper_that_turns_is_refused() -> None:
 
 
 def test_a_quaternion_that_states_its_letters_is_not_reordered() -> None:
-    assert forms_of_four([f"ee quaternion {a}" for a in "xyzw"]) == [
+    """Or one that is computed from a matrix; letters of unnamed columns state nothing."""
+
+    def forms(names: list[str], computed: bool = False) -> list[AngleSection]:
+        columns = tuple(CapturedColumn(name, computed=computed) for name in names)
+        return forms_of_four(Capture(Path("a.csv"), columns, np.ones((3, 4)), np.arange(3)), names)
+
+    assert forms([f"ee q{a}" for a in "xyzw"]) == [
+        AngleSection(quaternion=[f"ee q{a}" for a in "xyzw"])
+    ]
+    assert forms([f"ee quaternion {a}" for a in "xyzw"], computed=True) == [
         AngleSection(quaternion=[f"ee quaternion {a}" for a in "xyzw"])
     ]
-    assert len(forms_of_four([f"quat[{k}]" for k in range(4)])) == 2
+    assert len(forms([f"ee quaternion {a}" for a in "xyzw"])) == 2
+    assert len(forms([f"quat[{k}]" for k in range(4)])) == 2
 
 
 @pytest.mark.parametrize("arcs", [(0.1, 0.07, 0.04), (0.1, 0.06, 0.02), (0.1, 0.08, 0.05, 0.03)])

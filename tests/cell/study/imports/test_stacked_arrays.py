@@ -46,10 +46,11 @@ def _saved(file: Path, arrays: dict[str, NDArray[np.float64]], names: list[str])
 
 
 @pytest.mark.parametrize("count, form", list(product((3, 4), ("npz", "h5", "mat"))))
+@pytest.mark.parametrize("array", ["tcp_quat", "tool_quaternion"])
 def test_names_of_points_are_not_those_of_a_quaternion_or_of_one_place(
-    tmp_path: Path, count: int, form: str
+    tmp_path: Path, count: int, form: str, array: str
 ) -> None:
-    """As many points as a quaternion has numbers, or a place."""
+    """As many points as a quaternion has numbers, or a place; w is first, which no name states."""
     s = known_study()[1]
     points = [0, 2, 4] if count == 3 else [0, 1, 2, 4]
     half, none = s.angle_rad / 2, np.zeros(len(s.t_s))
@@ -57,13 +58,13 @@ def test_names_of_points_are_not_those_of_a_quaternion_or_of_one_place(
         "time": s.t_s,
         "pos": _spatial(s.markers_m[:, points]),
         "tcp_pos": _spatial(s.gripper_m),
-        "tcp_quat": np.column_stack([np.cos(half), none, -np.sin(half), none]),
+        array: np.column_stack([np.cos(half), none, -np.sin(half), none]),
     }
     file = _saved(tmp_path / f"t.{form}", arrays, [MARKERS[i] for i in points])
     study, _ = _study(file)
     check_same(study, replace(s, markers_m=s.markers_m[:, points]), place_m=PLACE_M)
     assert [n for n in read_capture(file).names if "quat" in n] == [
-        f"tcp_quat {axis}" for axis in "xyzw"
+        f"{array} {axis}" for axis in "xyzw"
     ]
 
 
