@@ -55,8 +55,8 @@ class Wire(Protocol):
     def part(self) -> None:
         """Disconnect, until `mend`."""
 
-    def mend(self) -> None:
-        """Connect again."""
+    def mend(self, bits: Sequence[bool]) -> None:
+        """Connect again; `bits` are the first that the cell reads."""
 
     def close(self) -> None:
         """Close the connection."""
@@ -69,7 +69,7 @@ class ModbusWire:
         from pymodbus.client import ModbusTcpClient
 
         self._client = ModbusTcpClient("127.0.0.1", port=port)
-        self.mend()
+        assert self._client.connect()
 
     def write(self, bits: Sequence[bool]) -> None:
         written = self._client.write_coils(0, list(bits), device_id=1)
@@ -83,8 +83,9 @@ class ModbusWire:
     def part(self) -> None:
         self._client.close()
 
-    def mend(self) -> None:
+    def mend(self, bits: Sequence[bool]) -> None:
         assert self._client.connect()
+        self.write(bits)
 
     def close(self) -> None:
         self._client.close()
@@ -106,7 +107,8 @@ class ControllerWire:
     def part(self) -> None:
         self._controller.request("freeze", seconds=LONGEST_S)
 
-    def mend(self) -> None:
+    def mend(self, bits: Sequence[bool]) -> None:
+        self.write(bits)  # before it sends again, or the cell sees the change as an edge
         self._controller.request("freeze", seconds=0.0)
 
     def close(self) -> None:
@@ -131,7 +133,16 @@ class Plc:
         if signals:
             self._inputs.update(signals)
             self._log(said=self._inputs)
-        self.wire.write([self._inputs[name] is not (name in INVERTED) for name in INPUTS])
+        self.wire.write(self._bits())
+
+    def mend(self, **signals: bool) -> None:
+        """Connect again, with these signals on from the first moment."""
+        self._inputs.update(signals)
+        self._log(said=self._inputs)
+        self.wire.mend(self._bits())
+
+    def _bits(self) -> list[bool]:
+        return [self._inputs[name] is not (name in INVERTED) for name in INPUTS]
 
     def heard(self) -> dict[str, bool]:
         """Write the inputs and read the outputs, as in a PLC's cycle."""
@@ -287,8 +298,7 @@ def lost(plc: Plc) -> str:
     plc.wait(lambda heard: heard["ready"])
     plc.wire.part()
     time.sleep(1.5 * SILENCE_S)
-    plc.wire.mend()
-    plc.say(start=True)
+    plc.mend(start=True)
     plc.wait(lambda heard: not heard["fault"])
     plc.quiet()
     plc.say(start=False)

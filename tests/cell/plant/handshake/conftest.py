@@ -157,8 +157,8 @@ class FakeWire:
     def part(self) -> None:
         pass  # and writes no more
 
-    def mend(self) -> None:
-        pass
+    def mend(self, bits: Sequence[bool]) -> None:
+        self.write(bits)
 
     def close(self) -> None:
         pass
@@ -221,9 +221,7 @@ def wired_by(kind: str, silence_s: float, request: pytest.FixtureRequest) -> Wir
             return Wired(said, lambda: ModbusCarrier(said), lambda: ModbusWire(port), False)
         case "controller":
             host = request.getfixturevalue("controller").host
-            wire = ControllerWire(host)
-            wire.mend()
-            Plc(wire).say()
+            Plc(ControllerWire(host)).mend()
             said = said.model_copy(update={"carrier": kind, "host": host})
             return Wired(
                 said, lambda: ControllerCarrier(said, host), lambda: ControllerWire(host), True

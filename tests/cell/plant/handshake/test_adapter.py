@@ -41,8 +41,7 @@ def test_a_plc_that_is_lost_starts_nothing_when_it_comes_back(
     caplog.clear()
     plc.wire.part()
     wait_until(lambda: "the PLC is away: " in caplog.text)
-    plc.wire.mend()
-    plc.say(start=True)
+    plc.mend(start=True)
     plc.wait(lambda heard: not heard["fault"])
     plc.quiet()
     assert fake.starts == 0

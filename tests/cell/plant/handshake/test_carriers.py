@@ -77,7 +77,7 @@ def test_before_the_first_word_and_after_a_silence_nothing_is_known(wired: Wired
         wait_until(lost)
         assert lost()
         carrier.write(Outputs(ready=True))  # it is there when the PLC is
-        plc.wire.mend()
+        plc.mend()
         reads(carrier, plc, QUIET)
         is_told(plc, Outputs(ready=True))
 
@@ -88,8 +88,7 @@ def test_a_loss_that_nobody_saw_is_told(wired: Wired) -> None:
         reads(carrier, plc, QUIET)
         plc.wire.part()
         time.sleep(2.0 * wired.said.silence_s)  # of the loss itself: nobody looks meanwhile
-        plc.wire.mend()
-        plc.say(start=True)
+        plc.mend(start=True)
         with pytest.raises(CarrierError):
             carrier.read()
         reads(carrier, plc, replace(QUIET, start=True))
@@ -106,5 +105,5 @@ def test_the_end_leaves_what_was_told_and_lets_another_begin(wired: Wired) -> No
         assert plc.read() == asdict(UNKNOWN)
     plc.wire.part()
     with wired.carrier() as carrier:
-        plc.wire.mend()
+        plc.mend()
         reads(carrier, plc, QUIET)
