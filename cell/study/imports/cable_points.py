@@ -218,6 +218,8 @@ def of_one_cable(
     Neighbours on a cable are no farther apart than it is long, and nearly keep their distance.
     """
     points = [*named, *cable]
+    if not points:
+        return []
     units = {METRES[p.unit] for p in points if p.unit in METRES}
     longest = np.inf
     if free_length_m is not None and len(units) == 1:

@@ -254,20 +254,37 @@ def _kind(rest: list[str], axis: str, unit: str, rotation: bool) -> ColumnKind:
 #: Last words of columns of detection confidence, and of those that are 1 where a point is visible;
 #: the thresholds below which it is not.
 _CONFIDENCE = {"likelihood": 0.6, "confidence": 0.6, "probability": 0.6, "visible": 0.5,
-               "valid": 0.5, "validity": 0.5, "cond": 0.0, "condition": 0.0}  # fmt: skip
+               "valid": 0.5, "validity": 0.5, "cond": 0.0, "condition": 0.0,
+               "sigma": 0.0}  # fmt: skip
 _VISIBILITY = dict.fromkeys(("v", "vis", "visibility"), 0.5)
 
 
 def visibility(column: CapturedColumn) -> tuple[str, float, bool] | None:
     """Point, threshold, and whether it is a flag, of a column of visibility; None = another one.
 
-    source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0
+    source  DeepLabCut, `pcutoff` 0.6; PhaseSpace, a condition below 0; VIC-3D, a sigma below 0
     """
     *words, last = _words(column.name) or [""]
     if last not in _VISIBILITY and not (words and last in _CONFIDENCE):
         return None
     group = " ".join(w for w in words if w not in _FILLER)
     return group, (_CONFIDENCE | _VISIBILITY)[last], last in _VISIBILITY
+
+
+#: Last words of a displacement from a point's initial position, such as dX, and its axes.
+DISPLACEMENT = frozenset(("d", "delta", "displacement"))
+_DISPLACED_ALONG = {"u": "x", "v": "y", "w": "z"}
+
+
+def displacement(column: CapturedColumn) -> tuple[str, str] | None:
+    """Point and axis of a column of displacements; None = another one."""
+    found = meaning(column)
+    *words, last = [w for w in _words(split_unit(column.name)[0]) if w not in _FILLER] or [""]
+    if found.kind is ColumnKind.OTHER and last in _DISPLACED_ALONG:
+        return " ".join(words), _DISPLACED_ALONG[last]
+    point, _, last = found.group.rpartition(" ")
+    is_displaced = found.kind is ColumnKind.COORDINATE and last in DISPLACEMENT
+    return (point, found.axis) if is_displaced else None
 
 
 def _acceleration(words: list[str], unit: str) -> Meaning | None:

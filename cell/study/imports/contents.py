@@ -10,6 +10,7 @@ import numpy as np
 from cell.cable.arrays import FloatArray
 from cell.study.imports.capture import ROW_NUMBER, Capture, CapturedColumn
 from cell.study.imports.column_names import (
+    DISPLACEMENT,
     ColumnKind,
     Meaning,
     meaning,
@@ -30,8 +31,6 @@ HAND = frozenset(
 FILM_RATES_HZ = (2.0, 20_000.0)
 #: The years 1998 … 2100, in s since 1970.
 _EPOCH_RANGE_S = 0.9e9, 4.1e9
-#: Last words of a displacement from a point's initial position, such as dX.
-_DISPLACEMENT = frozenset(("d", "delta", "displacement"))
 #: Largest share of backward steps in an unsorted column of times.
 _BACKWARD_SHARE = 0.25
 #: Largest mean step of a frame counter.
@@ -242,7 +241,7 @@ def _points(
     single: list[str] = []
     for group, axes in groups.items():
         base, _, last = group.rpartition(" ")
-        if len(axes) < 2 or (last in _DISPLACEMENT and base in groups):
+        if len(axes) < 2 or (last in DISPLACEMENT and base in groups):
             single += [name for name, _ in axes.values()]
             continue
         columns = tuple(axes[a][0] for a in "xyz" if a in axes)

@@ -27,6 +27,7 @@ from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.repairs import (
     in_millimetres,
+    with_displacements,
     with_one_unit,
     with_whole_tracks,
     without_codes,
@@ -245,6 +246,7 @@ _REPAIRS = (
     without_codes,
     one_row_per_time,
     without_unseen,
+    with_displacements,
     without_held,
     in_millimetres,
     with_one_unit,

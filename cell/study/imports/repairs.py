@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.files.words import first_of
 from cell.study.imports.capture import Capture
-from cell.study.imports.column_names import ColumnKind, meaning, visibility
+from cell.study.imports.column_names import ColumnKind, displacement, meaning, visibility
 from cell.study.imports.contents import contents
 from cell.study.imports.tracks import joined_tracks
 from cell.study.imports.units import METRES
@@ -29,6 +29,27 @@ def without_codes(capture: Capture) -> Capture:
     note = f"{capture.path}: {value:g} stands in {count} cells: nothing was seen there"
     values = np.where(codes, np.nan, capture.values)
     return replace(capture, values=values).noted(note)
+
+
+def with_displacements(capture: Capture) -> Capture:
+    """Add displacements of points, such as `P1 U` and `P1 V`, to places that are constant.
+
+    Those are the initial places; a place that varies contains its displacement.
+    """
+    meanings = [(c, meaning(c)) for c in capture.columns]
+    place_of = {(m.group, m.axis): c.name for c, m in meanings if m.kind is ColumnKind.COORDINATE}
+    of_place = {c.name: place_of.get(displacement(c) or ("", "")) for c in capture.columns}
+    pairs = [(place, name) for name, place in of_place.items() if place is not None]
+    known = [column[np.isfinite(column)] for column in (capture.column(p) for p, _ in pairs)]
+    if not pairs or any(len(column) == 0 or np.ptp(column) > 0.0 for column in known):
+        return capture
+    values, names = capture.values.copy(), capture.names
+    for place, name in pairs:
+        values[:, names.index(place)] += capture.column(name)
+    remaining = [i for i, name in enumerate(names) if of_place[name] is None]
+    place, name = pairs[0]
+    note = f"{capture.path}: {place!r} is constant: the displacement {name!r} is added to it"
+    return replace(capture, values=values).of_columns(remaining).noted(note)
 
 
 def in_millimetres(capture: Capture) -> Capture:

@@ -57,7 +57,7 @@ def split_line(line: str, separator: str) -> list[str]:
         words = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
         return [cell.strip('"') for cell in words] if '"' in line else words
     try:
-        return next(csv.reader([line], delimiter=separator), [])
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:
         return []
 
@@ -66,7 +66,7 @@ def split_lines(path: Path, lines: Sequence[str], separator: str) -> list[Row]:
     """Rows of cells.  Raises InputError: a line is no CSV."""
     if separator == " ":
         return _between_blanks(lines)
-    reader = csv.reader(lines, delimiter=separator)
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
     try:
         return [Row(reader.line_num, tuple(cells)) for cells in reader]
     except csv.Error as error:

@@ -187,3 +187,32 @@ def test_what_no_file_says_is_asked_for_with_its_option(tmp_path: Path) -> None:
     told = run(file, "-o", tmp_path / "s", "--free-length", "0.1", code=1)
     for option in ("--rate", "--line-density", "--width and --thickness, or --diameter"):
         assert option in told
+
+
+@pytest.mark.parametrize("names", [("U", "V"), ("dX", "dY")])
+def test_displacements_are_added_to_places_that_are_constant(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    m = made()
+    points = ["grip", *NAMES]
+    places = 1e3 * np.stack([m.gripper_m, *np.moveaxis(m.markers_m, 1, 0)], axis=1)
+    initial = np.broadcast_to(places[:1], places.shape)
+    values = np.concatenate([initial, places - initial], axis=2).reshape(len(m.t_s), -1)
+    head = ["t_s", *(f"{p} {c} [mm]" for p in points for c in ("X", "Y", *names)), "angle_deg"]
+    rows = np.column_stack([m.t_s, values, np.degrees(m.angle_rad)])
+    lines = [", ".join(f'"{n}"' for n in head), *(", ".join(row) for row in digits(rows, 7))]
+    file = saved(tmp_path / "a.csv", "\n".join(lines))
+    assert any("is constant: the displacement" in n for n in read_capture(file).notes)
+    check_same(imported([str(file)], tmp_path / "s"), m)
+
+
+def test_a_place_that_varies_contains_its_displacement(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{k},2,{k},0\n" for k in range(4))
+    file = saved(tmp_path / "a.csv", "t,m1_x,m1_y,m1_u,m1_v\n" + rows)
+    assert np.array_equal(read_capture(file).column("m1_x"), range(4))
+
+
+def test_a_file_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100},1,2,3,4\n" for k in range(50))
+    file = saved(tmp_path / "a.csv", "t_s,m1_x,m1_y,m2_x,m2_y\n" + rows)
+    assert "shows no point that moves" in run(file, "-o", tmp_path / "s", *CABLE, code=2)
