@@ -105,7 +105,8 @@ def clamp_angle(
         return AngleSection(towards=list(point.columns), offset_rad=round(offset, 10))
     angle = round(root.rest_rad, 4) + 0.0
     sentence = "no angle of the gripper is in the file: it is taken as constant, "
-    sentence += f"{np.degrees(angle):.2f}°, as the markers show at rest"
+    sentence += f"{np.degrees(angle):.2f}° ± {np.degrees(root.std_rad):.1f}°, as the markers show "
+    sentence += "at rest where the cable leaves the jaws straight"
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"
     sentence += "; a measured angle is stated by --clamp-angle"

@@ -100,7 +100,7 @@ def study_of(read: ReadMapping, captures: Dictionary[str, Capture]) -> Imported:
             message = f"is missing; `start: {entry.start}` needs the time of letting go"
             problems.append(read.document.problem(("trials", i, "release_s"), message))
     if not problems and mapping.hand.angle.constant_rad is not None:
-        problems = _rest_direction_problems(read, trials) or constants
+        problems = _rest_direction_problems(read, trials, arcs, cable.length_m) or constants
     if problems:
         raise InputError(problems)
     study = Study(
@@ -194,21 +194,30 @@ def _check_trial(
     return problems, [*notes, *more]
 
 
-#: Tolerance of the rest directions of trials whose clamp angle is constant, rad.
-_REST_LIMIT = 0.05
+#: Tolerance of the rest directions of trials whose clamp angle is constant, rad, and least arc
+#: length of a marker that shows one, as a share of the free length.
+_REST_LIMIT, _AWAY_SHARE = 0.05, 0.05
 
 
-def _rest_direction_problems(read: ReadMapping, trials: list[Trial]) -> list[Problem]:
-    """Problem if trials differ in rest direction, but the mapping has a constant clamp angle."""
+def _rest_direction_problems(
+    read: ReadMapping, trials: list[Trial], arcs: FloatArray, length_m: float
+) -> list[Problem]:
+    """Problem if trials differ in rest direction, but the mapping has a constant clamp angle.
+
+    arcs  (markers,) arc lengths, the tip first
+    """
     rests = []
+    away = np.flatnonzero(arcs >= _AWAY_SHARE * length_m)
+    if not len(away):
+        return []
     for trial in trials:
         at_rest = trial.markers.t_s < moves_from_s(trial.grip, ROUGHLY_STILL)
-        nearest_m = trial.markers.xy_m[at_rest, -1]
+        nearest_m = trial.markers.xy_m[at_rest, away[-1]]
         nearest_m = nearest_m[np.isfinite(nearest_m).all(axis=1)]
         if trial.bent or not len(nearest_m):
             continue
-        away = np.median(nearest_m, axis=0) - [trial.grip.x_m[0], trial.grip.y_m[0]]
-        rests.append((float(np.arctan2(-away[1], -away[0])), trial.name))
+        way_m = np.median(nearest_m, axis=0) - [trial.grip.x_m[0], trial.grip.y_m[0]]
+        rests.append((float(np.arctan2(-way_m[1], -way_m[0])), trial.name))
     if len(rests) < 2:
         return []
     (low, first), (high, last) = min(rests), max(rests)

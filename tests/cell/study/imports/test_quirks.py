@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -157,3 +158,27 @@ def test_trials_that_rest_at_two_angles_have_no_one_angle(tmp_path: Path) -> Non
         files.append(file)
     told = run(*files, "-o", tmp_path / "s", *CABLE, code=1)
     assert "is one constant, yet at rest the marker next to the gripper is at" in told
+
+
+def test_a_marker_at_the_gripper_shows_no_angle(tmp_path: Path) -> None:
+    files = []
+    for seed in range(2):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        m = swing("rest", made(seed).gripper_m, np.full_like(made().t_s, 0.2), seed, made().t_s)
+        (file,) = wide_metres(m, folder)
+        rows = [line.split(",") for line in Path(file).read_text().splitlines()]
+        dot_m = m.gripper_m + np.random.default_rng(seed).normal(0.0, NOISE_M, m.gripper_m.shape)
+        dots = [["m0_x_m", "m0_y_m"], *digits(dot_m, 7)]
+        Path(file).write_text(
+            text([[*r[:3], *r[4:], *dot] for r, dot in zip(rows, dots, strict=True)])
+        )
+        files.append(file)
+    run(*files, "-o", tmp_path / "s", *CABLE, "--clamp-angle", "0.2")
+    mapping = tmp_path / "s" / "import.yaml"
+    content = yaml.safe_load(mapping.read_text())
+    assert [m["columns"][0] for m in content["markers"]][0] == "m1_x_m"
+    dot = {"name": "m0", "columns": ["m0_x_m", "m0_y_m"], "arc_length_m": 0.0}
+    content["markers"].insert(0, dot)
+    mapping.write_text(yaml.safe_dump(content))
+    run(mapping)
