@@ -226,14 +226,14 @@ def _angle_in(section: AngleSection, axes: AxesSection, capture: Capture) -> Flo
 
 def offset_clause(offset_rad: float, root: Root) -> str:
     """End of a sentence about an offset, with the uncertainty of the cable's root."""
-    std = f"± {np.degrees(root.std_rad):.1f}°"
     if offset_rad:
+        std = f"± {np.degrees(root.clamp_std_rad):.1f}°"
         turned = f", turned by {np.degrees(offset_rad):.1f}° {std} as the cable shows at rest"
         exact = np.round(offset_rad / (np.pi / 2.0)) * np.pi / 2.0
         if not 0.0 < abs(offset_rad - exact) < _ASKEW:
             return turned
         return f"{turned}; give offset_rad: {exact:.6g} if the jaws are parallel to its axes"
-    return f", within {std} of the cable at rest"
+    return f", within {np.degrees(root.std_rad):.1f}° of the cable at rest"
 
 
 def _tilt_rad(capture: Capture, section: AngleSection, axes: AxesSection) -> float:

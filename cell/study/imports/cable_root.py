@@ -18,6 +18,9 @@ from cell.study.series import wrapped
 _TOLERANCE = 0.35
 #: As _TOLERANCE, for a root estimated by the line to a single marker, from which a cable droops.
 _LINE_TOLERANCE = 1.0
+#: Standard deviation of the angle between a clamp and the cable at its root, rad: jaws hold a cable
+#: askew, or give way.
+_ASKEW = 0.05
 #: Accuracy of the root at rest by a curve, rad.
 CURVE_STD = 0.0125
 #: By one more marker the root's error becomes smaller by at least this factor.
@@ -82,6 +85,11 @@ class Root:
     def std_rad(self) -> float:
         """Accuracy at rest."""
         return _LINE_TOLERANCE if self.is_line else max(CURVE_STD, self.error_rad)
+
+    @property
+    def clamp_std_rad(self) -> float:
+        """Accuracy of a clamp angle that is estimated from the cable at rest."""
+        return float(np.hypot(_ASKEW, self.std_rad))
 
     def offset_rad(self, shown_rad: float) -> float:
         """Angle from a direction of the gripper to the cable at rest; 0 or π if that may be."""

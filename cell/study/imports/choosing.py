@@ -89,19 +89,23 @@ def choose(
             0, "shows no point that moves besides the gripper; give the cable's markers"
         )
     hand, second, clamp = None, None, None
-    if named:
-        cable = _without_body(named, cable, raw, findings)
+    body = _body(named, cable, raw)
+    cable = [p for p in cable if p not in body]
     if named and hand_elsewhere:
         most = max(reach_of(raw[p.name]) for p in cable)
         clamp, _ = _gripper_points(named, cable, raw, inside)
         clamp = clamp if clamp and reach_of(raw[clamp.name]) > MOVES * most else None
     if not hand_elsewhere:
-        hand, second = _gripper_points(named, cable, raw, inside)
+        hand, second = _gripper_points([*named, *body], cable, raw, inside)
         if hand is not None:
             findings.guessed("hand", f"{hand.name!r} is the gripping point, by its name")
         elif (hand := fixed) is not None:
             sentence = f"{hand.name!r} does not move: it is taken as the gripping point, held still"
             findings.guessed("hand", sentence)
+    for p in body:
+        if p is not second:
+            sentence = f"{p.name!r} moves with the gripper as one body, away from the cable"
+            findings.shown("markers", f"{sentence}: it is left out")
     if hand is None and not hand_elsewhere:
         _check_not_single(capture, cable, others)
         order, hand, second = _of_chain(from_end(cable, raw), raw, free_length_m, findings)
@@ -287,16 +291,15 @@ _RIGID_SHARE = 0.4
 _LENGTH_TOL = 0.03
 
 
-def _without_body(
-    named: Sequence[Point],
-    cable: Sequence[Point],
-    raw: dict[str, FloatArray],
-    findings: ImportFindings,
+def _body(
+    named: Sequence[Point], cable: Sequence[Point], raw: dict[str, FloatArray]
 ) -> list[Point]:
-    """Points without those that move with the gripper as one rigid body, behind it.
+    """Points that move with the gripper as one rigid body, behind it.
 
     The cable's first marker keeps its distance too, but lies on the side of the others.
     """
+    if not named:
+        return []
     places = at_rest([*named, *cable], raw)
     size = float(np.ptp(places, axis=0).max())
     change = {p.name: max(distance_range(raw[h.name], raw[p.name]) for h in named) for p in cable}
@@ -304,15 +307,11 @@ def _without_body(
     rigid = [p for p in cable if change[p.name] < most]
     loose = [i for i, p in enumerate(cable, len(named)) if p not in rigid]
     if not rigid or len(loose) < 2 or not np.isfinite(places).all():
-        return list(cable)
+        return []
     hand = places[: len(named)].mean(axis=0)
     towards = places[loose].mean(axis=0) - hand
-    body = [p for i, p in enumerate(cable, len(named))
+    return [p for i, p in enumerate(cable, len(named))
             if p in rigid and float((places[i] - hand) @ towards) < 0.0]  # fmt: skip
-    for p in body:
-        sentence = f"{p.name!r} moves with the gripper as one body, away from the cable: it is left"
-        findings.shown("markers", f"{sentence} out")
-    return [p for p in cable if p not in body]
 
 
 def _spans(order: Sequence[Point], raw: dict[str, FloatArray]) -> FloatArray:

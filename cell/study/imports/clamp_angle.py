@@ -105,8 +105,8 @@ def clamp_angle(
         return AngleSection(towards=list(point.columns), offset_rad=round(offset, 10))
     angle = round(root.rest_rad, 4) + 0.0
     sentence = "no angle of the gripper is in the file: it is taken as constant, "
-    sentence += f"{np.degrees(angle):.2f}° ± {np.degrees(root.std_rad):.1f}°, as the markers show "
-    sentence += "at rest where the cable leaves the jaws straight"
+    sentence += f"{np.degrees(angle):.2f}° ± {np.degrees(root.clamp_std_rad):.1f}°, as the markers "
+    sentence += "show at rest"
     if root.is_line:
         sentence += "; that is the line to the only marker, from which a cable droops: measure it"
     sentence += "; a measured angle is stated by --clamp-angle"
@@ -151,7 +151,14 @@ def stated_angle(
         sentence += "offset to the gripper's direction, which hardly turns"
     else:
         found = " ".join(f.sentence for f in about if f.entry == "hand.angle")
-        raise InputError.at(path, f"{option}, but {found}; leave the option out")
+        values = clamp_angle_rad(captures[0], hand.angle, hand.axes or axes)
+        known = np.empty(0) if values is None else values[np.isfinite(values)]
+        remedy = "leave the option out"
+        if len(known):
+            rest_rad = float(np.median(first_rows(known)))
+            offset = wrapped(hand.angle.offset_rad + stated_rad - rest_rad)
+            remedy += f", and give offset_rad: {offset:.4g} in the mapping if it is that at rest"
+        raise InputError.at(path, f"{option}, but {found}; {remedy}")
     if abs(wrapped(root.rest_rad - stated_rad)) > root.agrees_rad:
         shown, limit = np.degrees([root.rest_rad, root.agrees_rad])
         message = f"{option}, but at rest the cable leaves the gripper at {shown:.1f}°, limit "

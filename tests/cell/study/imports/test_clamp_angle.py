@@ -132,8 +132,9 @@ def test_axes_of_a_hand_s_own_are_those_in_which_it_moves_in_any_trial() -> None
 
 @pytest.mark.parametrize("angle_rad", [0.0, -0.2, 0.2])
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["gripper", "gripb"])
 def test_two_points_on_the_hand_make_its_angle_whatever_their_noise(
-    angle_rad: float, seed: int
+    name: str, angle_rad: float, seed: int
 ) -> None:
     """With a level clamp it was a matter of the first row's noise whether it was 2π too large."""
     m = trial(np.full(len(T_S), angle_rad))
@@ -141,7 +142,7 @@ def test_two_points_on_the_hand_make_its_angle_whatever_their_noise(
     behind_mm = (m.gripper_m + 0.03 * leaves) * 1e3 + np.column_stack(
         [noise(seed), noise(seed + 9)]
     )
-    points = {f"gripper {a}": behind_mm[:, k] for k, a in enumerate("xy")}
+    points = {f"{name} {a}": behind_mm[:, k] for k, a in enumerate("xy")}
     capture = captured("a.csv", **hand_of(m), **points, **markers_of(m))
     mapping: Mapping = understood(capture).mapping
     angle = mapping.hand.angle
@@ -302,7 +303,7 @@ def test_an_angle_that_the_cable_or_a_column_contradicts_is_refused() -> None:
     with pytest.raises(InputError, match=r"states 0\.0°, but at rest .* at 2\d\.\d°, limit 20°"):
         understood(captured("a.csv", **columns), angle_rad=0.0)
     columns["hand angle_deg"] = np.degrees(m.angle_rad) + np.degrees(noise(1))
-    with pytest.raises(InputError, match="but the clamp angle is column 'hand angle_deg' in deg"):
+    with pytest.raises(InputError, match=r"'hand angle_deg' in deg.* give offset_rad: -0\.000"):
         understood(captured("a.csv", **columns), angle_rad=0.5)
 
 
@@ -337,3 +338,16 @@ def test_a_stated_angle_outranks_a_column_that_is_only_guessed() -> None:
     found = understood(captured("a.csv", **columns), angle_rad=0.0)
     assert found.mapping.hand.angle.constant_rad == 0.0
     assert "angle [deg]" in " ".join(said(found, "unused"))
+
+
+@pytest.mark.parametrize(("off_deg", "is_near"), [(5.0, True), (30.0, False)])
+def test_an_offset_near_a_quarter_turn_says_the_other_choice(off_deg: float, is_near: bool) -> None:
+    m = trial(0.2 * stroke(T_S))
+    line_rad = m.angle_rad + np.radians(off_deg)
+    behind_m = m.gripper_m + 0.03 * np.column_stack([np.cos(line_rad), np.sin(line_rad)])
+    points = {f"gripb {a}": behind_m[:, k] * 1e3 for k, a in enumerate("xy")}
+    (sentence,) = said(
+        understood(captured("a.csv", **hand_of(m), **points, **markers_of(m))), "hand.angle"
+    )
+    assert "± 3.0° as the cable shows at rest" in sentence
+    assert ("give offset_rad: 3.14159 if the jaws are parallel" in sentence) is is_near

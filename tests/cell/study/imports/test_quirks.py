@@ -177,7 +177,7 @@ def test_a_marker_at_the_gripper_shows_no_angle(tmp_path: Path) -> None:
     run(*files, "-o", tmp_path / "s", *CABLE, "--clamp-angle", "0.2")
     mapping = tmp_path / "s" / "import.yaml"
     content = yaml.safe_load(mapping.read_text())
-    assert [m["columns"][0] for m in content["markers"]][0] == "m1_x_m"
+    assert content["markers"][0]["columns"][0] == "m1_x_m"
     dot = {"name": "m0", "columns": ["m0_x_m", "m0_y_m"], "arc_length_m": 0.0}
     content["markers"].insert(0, dot)
     mapping.write_text(yaml.safe_dump(content))
