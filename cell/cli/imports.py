@@ -86,6 +86,14 @@ class ImportOptions:
             "tip down.",
         ),
     ] = None
+    arc_lengths: Annotated[
+        str | None,
+        typer.Option(
+            "--arc-lengths",
+            metavar="M,M,…",
+            help="Places of the markers along the cable from the gripper on, m, as 0.02,0.05,0.1.",
+        ),
+    ] = None
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Of a video: settings of the cell that filmed it."),
@@ -281,8 +289,20 @@ def _understood(
         options.diameter,
         options.rate,
         options.clamp_angle,
+        _arc_lengths_m(options.arc_lengths),
     )
     return files, understand(files, stated)
+
+
+def _arc_lengths_m(text: str | None) -> tuple[float, ...] | None:
+    """Values of --arc-lengths.  Raises ValueError: one is no number."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError as error:
+        message = f"--arc-lengths {text!r} holds no numbers; give metres, as 0.02,0.05,0.1"
+        raise ValueError(message) from error
 
 
 def _is_mapping(file: Path) -> bool:

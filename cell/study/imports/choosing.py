@@ -112,8 +112,10 @@ def choose(
     elif hand is None and clamp is None:
         order = from_end(cable, raw)
         if behind := _count_on_gripper(order, raw, free_length_m):
-            body = ", ".join(repr(p.name) for p in order[:behind])
-            sentence = f"{body}: on the gripper, for with them the markers span more than the cable"
+            names = ", ".join(repr(p.name) for p in order[:behind])
+            sentence = (
+                f"{names}: on the gripper, for with them the markers span more than the cable"
+            )
             findings.guessed("markers", f"{sentence}, and they move as one body: left out")
             order = from_end(order[behind:], raw)
     else:

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from cell.cable.arrays import FloatArray
+from cell.files.input_error import InputError
+from cell.study.entries import MAX_ARC_STD_FRACTION
 from cell.study.imports.cable_root import (
     A_LINE,
     Root,
     RootEnds,
     root_of_shape,
 )
-from cell.study.imports.capture import Capture
+from cell.study.imports.capture import Capture, ImportFindings
 from cell.study.imports.choosing import Chosen, detected_places
 from cell.study.imports.contents import Point
+from cell.study.imports.gripper_proposal import TIP
 from cell.study.imports.gripper_section import AxesSection
 from cell.study.imports.places import angle_of
+from cell.study.imports.scales import ROUNDED_M, arc_length_stds
 from cell.study.imports.shape import (
     FINAL_SHARE,
     arc_lengths,
@@ -26,8 +31,12 @@ from cell.study.imports.shape import (
     resting,
     root_direction,
 )
+from cell.study.imports.stated import Stated
 from cell.study.imports.trials import Files
+from cell.study.imports.units import METRES, split_unit
 
+#: Largest difference of measured arc lengths from the curve through the markers, share of the last.
+_MEASURED_TOL = 0.1
 #: Maximum rows of a trial in which the direction of the cable's root is estimated.
 _MAX_ROWS = 1000
 
@@ -135,3 +144,147 @@ def root_ends(
         source = files.gripper or files.capture
         ends[-1] = RootEnds(source, roots[0].rest_rad, last_rad, std_rad)
     return ends
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredArcs:
+    """Measured arc lengths of the markers.
+
+    arcs_m   (markers,) from the gripper on
+    source   who states them
+    file     of the markers
+    columns  that state them
+    """
+
+    arcs_m: FloatArray
+    source: str
+    file: Path
+    columns: tuple[str, ...] = ()
+
+    def check(self, curve_m: FloatArray) -> None:
+        """Raise InputError if the curve (markers,) through the markers contradicts them."""
+        apart_m = np.abs(self.arcs_m - curve_m)
+        if not np.isfinite(apart_m).all():
+            return
+        worst, limit_m = int(np.argmax(apart_m)), _MEASURED_TOL * float(curve_m[-1])
+        if apart_m[worst] > limit_m:
+            message = f"{self.source} puts marker {worst + 1} from the gripper at "
+            message += f"{self.arcs_m[worst]:g} m, yet on the curve through the markers it is at "
+            message += f"{curve_m[worst]:.4g} m, limit {limit_m:.2g} m apart; correct the values, "
+            raise InputError.at(self.file, f"{message}their order or the unit of length")
+
+
+def measured_arcs(
+    capture: Capture, markers: Sequence[Point], stated: Stated
+) -> MeasuredArcs | None:
+    """Arc lengths that the user states, or a column; None = nobody does.
+
+    A column of a table of points has one value for each point, which rises along the cable.
+
+    raises  InputError: the user states another number of them, or they do not rise
+    """
+    if (given := stated.arc_lengths_m) is not None:
+        option = "--arc-lengths"
+        if len(given) != len(markers):
+            names = ", ".join(repr(p.name) for p in markers)
+            message = f"{option} has {len(given)} values, but {len(markers)} markers are found "
+            raise InputError.at(capture.path, f"{message}({names}); give one for each")
+        if given[0] < 0.0 or np.any(np.diff(given) <= 0.0):
+            message = f"{option} does not rise from the gripper to the tip; order the values so"
+            raise InputError.at(capture.path, message)
+        return MeasuredArcs(np.array(given), option, capture.path)
+    columns: dict[str, dict[str, str]] = {}
+    for name in capture.names:
+        bare, unit = split_unit(name)
+        owner = next((p.name for p in markers if bare.startswith(f"{p.name} ")), "")
+        if owner and unit in METRES and np.ptp(capture.column(name)) == 0.0:
+            columns.setdefault(bare.removeprefix(f"{owner} "), {})[owner] = name
+    for word, column_of in columns.items():
+        if len(column_of) != len(markers) or len(markers) < A_LINE:
+            continue
+        ordered = tuple(column_of[p.name] for p in markers)
+        arcs_m = np.array([capture.column(n)[0] * METRES[split_unit(n)[1]] for n in ordered])
+        if arcs_m[0] >= 0.0 and np.all(np.diff(arcs_m) > 0.0):
+            return MeasuredArcs(arcs_m, f"column {word!r}", capture.path, ordered)
+    return None
+
+
+def arcs_of(
+    scene: PlaneChain,
+    chosen: Chosen,
+    stated: Stated,
+    known: bool,
+    measured: MeasuredArcs | None,
+    findings: ImportFindings,
+) -> list[float | None]:
+    """Arc lengths of the markers, rounded to 10 µm; None where they are unknown.
+
+    known     whether the unit of length is
+    measured  None = nobody states them
+    """
+    if measured is not None:
+        curve_m = scene.arcs + (0.0 if scene.from_gripper else measured.arcs_m[0] - scene.arcs[0])
+        measured.check(curve_m if known else np.full(len(curve_m), np.nan))
+        findings.stated("markers", f"arc lengths are those of {measured.source}")
+        return [float(s) for s in measured.arcs_m]
+    lengths, length_m = scene.arcs, stated.free_length_m
+    how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
+    if not known or (not scene.from_gripper and length_m is None):
+        needs = "needs --free-length" if known else "is known with the unit of length"
+        findings.missing("markers", f"where the markers are along the cable {needs}")
+        return [None] * len(chosen.markers)
+    if not scene.from_gripper and length_m is not None:
+        lengths = lengths + length_m - lengths[-1]
+        reason = "no place of the gripper at rest is known in their frame"
+        if len(scene.shape) > scene.xy_m.shape[1]:
+            reason = "one marker shows no curve from the gripper on"
+        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {reason}"
+    if not np.isfinite(lengths).all():
+        sentence = "where the markers are along the cable is not known, for no row shows "
+        findings.missing("markers", f"{sentence}two neighbours of each; measure arc_length_m")
+        return [None] * len(chosen.markers)
+    arcs = [round(float(s), 5) for s in lengths]
+    if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
+        arcs[-1] = length_m
+    sentence = f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m"
+    findings.guessed("markers", f"{sentence}{how}; measured ones are better")
+    if length_m is None:
+        sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
+        findings.guessed("cable.free_length_m", sentence)
+    elif arcs[-1] > length_m:
+        sentence = f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: "
+        sentence += "is the gripper's place, a unit or --free-length wrong, or are points of the "
+        sentence += "gripper to be called gripper_1, gripper_2? If a point is not on the cable, "
+        sentence += "take its columns out of the file and propose the mapping again"
+        findings.guessed("markers", sentence)
+    elif arcs[-1] < (1.0 - TIP) * length_m:
+        sentence = f"the last {length_m - arcs[-1]:.3g} m of the cable, beyond marker "
+        sentence += f"{chosen.markers[-1].name!r}, has no marker, by --free-length"
+        findings.guessed("cable.free_length_m", sentence)
+    return list(arcs)
+
+
+def arc_stds(
+    scene: PlaneChain, stated: Stated, arcs: Sequence[float | None], findings: ImportFindings
+) -> list[float | None]:
+    """Standard deviations of the proposed arc lengths, m; None where these are unknown."""
+    last_m, places_m = arcs[-1], scene.xy_m
+    if scene.from_gripper and len(scene.shape) > places_m.shape[1]:
+        places_m = np.insert(places_m, 0, scene.shape[0], axis=1)
+    if last_m is None or places_m.shape[1] < A_LINE:
+        return [None] * len(arcs)
+    length_m = stated.free_length_m or last_m
+    stds = arc_length_stds(places_m, length_m, scene.from_gripper)
+    excess_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
+    if excess_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
+        std_m = float(f"{np.hypot(stds[-1], excess_m):.2g}")
+        stds[-1] = min(std_m, MAX_ARC_STD_FRACTION * length_m)
+        sentence = f"the curve is {excess_m * 1e3:.2g} mm longer than the cable: its last marker "
+        findings.guessed("markers", f"{sentence}is taken as the tip")
+    low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
+    findings.guessed(
+        "markers",
+        f"arc_length_std_m, {low if low == high else f'{low} … {high}'} mm, is what noise and the "
+        "bend between markers leave open; give your own where you measure",
+    )
+    return [float(s) for s in stds]

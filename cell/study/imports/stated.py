@@ -15,7 +15,10 @@ _ROUNDED = 0.02
 
 @dataclass(frozen=True)
 class Stated:
-    """What the user states about cable and files; None = not stated."""
+    """What the user states about cable and files; None = not stated.
+
+    arc_lengths_m  of the markers, from the gripper on
+    """
 
     name: str
     free_length_m: float | None = None
@@ -25,6 +28,7 @@ class Stated:
     diameter_m: float | None = None
     rate_hz: float | None = None
     clamp_angle_rad: float | None = None
+    arc_lengths_m: tuple[float, ...] | None = None
 
 
 def with_files(stated: Stated, captures: Sequence[Capture], findings: ImportFindings) -> Stated:

@@ -10,8 +10,8 @@ import numpy as np
 
 from cell.cable.arrays import FloatArray
 from cell.files.words import first_of
-from cell.study.entries import MAX_ARC_STD_FRACTION, CableSection
-from cell.study.imports.cable_root import A_LINE, Root, curve_to_gripper, start_of
+from cell.study.entries import CableSection
+from cell.study.imports.cable_root import Root, curve_to_gripper, start_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
 from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
@@ -37,7 +37,10 @@ from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
     PlaneChain,
+    arc_stds,
+    arcs_of,
     detected_points,
+    measured_arcs,
     root_at_rest,
     root_ends,
     root_in_rows,
@@ -46,8 +49,6 @@ from cell.study.imports.plane_chain import (
     shapes_of,
 )
 from cell.study.imports.scales import (
-    ROUNDED_M,
-    arc_length_stds,
     metres_per_unit,
     time_of_markers,
     times_s,
@@ -142,8 +143,9 @@ def _proposed(
     axes, of_axes = find_axes(raw, shape, shapes_of(trials[1:], points, chosen))
     findings += [_of_image(finding, axes, raw), *of_axes]
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
-    arcs = _arcs(scene, chosen, stated, scale is not None, findings)
-    stds = _arc_stds(scene, stated, arcs, findings)
+    measured = measured_arcs(first.capture, chosen.markers, stated)
+    arcs = arcs_of(scene, chosen, stated, scale is not None, measured, findings)
+    stds = arc_stds(scene, stated, arcs, findings) if measured is None else [None] * len(arcs)
     at_ends, *others = root_ends(trials, points, chosen, axes, arcs)
     root = replace(root_at_rest(scene, arcs), first=at_ends, others=tuple(filter(None, others)))
     if gripper is not None:
@@ -181,7 +183,8 @@ def _proposed(
     gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
-    _add_unused((inside, first.capture), chosen, gripper, hand, findings)
+    of_arcs = () if measured is None else measured.columns
+    _add_unused((inside, first.capture), chosen, gripper, hand, of_arcs, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
 
@@ -230,79 +233,12 @@ def _of_image(finding: Finding, axes: AxesSection, raw: FloatArray) -> Finding:
     return replace(finding, sentence=f"{finding.sentence}; if these are {unit}", sure=Sure.GUESSED)
 
 
-def _arcs(
-    scene: PlaneChain, chosen: Chosen, stated: Stated, known: bool, findings: ImportFindings
-) -> list[float | None]:
-    """Arc lengths of the markers, rounded to 10 µm; None where they are unknown."""
-    lengths, length_m = scene.arcs, stated.free_length_m
-    how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"
-    if not known or (not scene.from_gripper and length_m is None):
-        needs = "needs --free-length" if known else "is known with the unit of length"
-        findings.missing("markers", f"where the markers are along the cable {needs}")
-        return [None] * len(chosen.markers)
-    if not scene.from_gripper and length_m is not None:
-        lengths = lengths + length_m - lengths[-1]
-        reason = "no place of the gripper at rest is known in their frame"
-        if len(scene.shape) > scene.xy_m.shape[1]:
-            reason = "one marker shows no curve from the gripper on"
-        how = f", {chosen.markers[-1].name!r} taken as the cable's tip, for {reason}"
-    if not np.isfinite(lengths).all():
-        sentence = "where the markers are along the cable is not known, for no row shows "
-        findings.missing("markers", f"{sentence}two neighbours of each; measure arc_length_m")
-        return [None] * len(chosen.markers)
-    arcs = [round(float(s), 5) for s in lengths]
-    if length_m is not None and 0.0 < arcs[-1] - length_m <= TIP * length_m:
-        arcs[-1] = length_m
-    sentence = f"arc lengths are those of a curve through the markers, {arcs[0]:g} … {arcs[-1]:g} m"
-    findings.guessed("markers", f"{sentence}{how}; measured ones are better")
-    if length_m is None:
-        sentence = f"the cable ends at its last marker: {arcs[-1]:g} m long; give --free-length"
-        findings.guessed("cable.free_length_m", sentence)
-    elif arcs[-1] > length_m:
-        sentence = f"the markers span {arcs[-1]:g} m from the gripper, the cable {length_m:g} m: "
-        sentence += "is the gripper's place, a unit or --free-length wrong, or are points of the "
-        sentence += "gripper to be called gripper_1, gripper_2? If a point is not on the cable, "
-        sentence += "take its columns out of the file and propose the mapping again"
-        findings.guessed("markers", sentence)
-    elif arcs[-1] < (1.0 - TIP) * length_m:
-        sentence = f"the last {length_m - arcs[-1]:.3g} m of the cable, beyond marker "
-        sentence += f"{chosen.markers[-1].name!r}, has no marker, by --free-length"
-        findings.guessed("cable.free_length_m", sentence)
-    return list(arcs)
-
-
 def _from_gripper(markers: list[MarkerEntry]) -> list[MarkerEntry]:
     """Markers; a first arc length that is slightly negative becomes 0."""
     first, last = markers[0].arc_length_m, markers[-1].arc_length_m
     if first is None or last is None or not -_AT_GRIPPER * last <= first < 0.0:
         return markers
     return [markers[0].model_copy(update={"arc_length_m": 0.0}), *markers[1:]]
-
-
-def _arc_stds(
-    scene: PlaneChain, stated: Stated, arcs: Sequence[float | None], findings: ImportFindings
-) -> list[float | None]:
-    """Standard deviations of the proposed arc lengths, m; None where these are unknown."""
-    last_m, places_m = arcs[-1], scene.xy_m
-    if scene.from_gripper and len(scene.shape) > places_m.shape[1]:
-        places_m = np.insert(places_m, 0, scene.shape[0], axis=1)
-    if last_m is None or places_m.shape[1] < A_LINE:
-        return [None] * len(arcs)
-    length_m = stated.free_length_m or last_m
-    stds = arc_length_stds(places_m, length_m, scene.from_gripper)
-    excess_m = float(scene.arcs[-1]) - last_m if scene.from_gripper else 0.0
-    if excess_m > max(stds[-1], ROUNDED_M):  # a tip is on the cable, though the curve is longer
-        std_m = float(f"{np.hypot(stds[-1], excess_m):.2g}")
-        stds[-1] = min(std_m, MAX_ARC_STD_FRACTION * length_m)
-        sentence = f"the curve is {excess_m * 1e3:.2g} mm longer than the cable: its last marker "
-        findings.guessed("markers", f"{sentence}is taken as the tip")
-    low, high = (f"{v * 1e3:.2g}" for v in (stds.min(), stds.max()))
-    findings.guessed(
-        "markers",
-        f"arc_length_std_m, {low if low == high else f'{low} … {high}'} mm, is what noise and the "
-        "bend between markers leave open; give your own where you measure",
-    )
-    return [float(s) for s in stds]
 
 
 def _cable(stated: Stated, arcs: Sequence[float | None]) -> CableSection:
@@ -454,13 +390,15 @@ def _add_unused(
     chosen: Chosen,
     gripper: GripperFile | None,
     hand: GripperSection,
+    of_arcs: Sequence[str],
     findings: ImportFindings,
 ) -> None:
     _add_unused_of_gripper(gripper, hand, findings)
     inside, capture = file
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
-    used = {n for p in points if p is not None for n in p.columns}
-    unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
+    used = {n for p in points if p is not None for n in p.columns} | set(of_arcs)
+    unused = [*(n for p in inside.points for n in p.columns), *inside.unused]
+    unused = [n for n in unused if n not in used]
     of_angle = {hand.angle.column, *(hand.angle.rotation or ())}
     unused += [n for n, _ in inside.angles if n not in of_angle]
     if not unused:

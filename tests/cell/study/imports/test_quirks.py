@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.study.imports.capture import number
+from tests.cell.study.imports.corpus.swing import ARCS_M, Swing, swing
 from tests.cell.study.imports.corpus.swing import MARKERS as NAMES
-from tests.cell.study.imports.corpus.swing import Swing, swing
 from tests.cell.study.imports.corpus.text import saved
 from tests.cell.study.imports.made import (
     CABLE,
@@ -182,3 +182,54 @@ def test_a_marker_at_the_gripper_shows_no_angle(tmp_path: Path) -> None:
     content["markers"].insert(0, dot)
     mapping.write_text(yaml.safe_dump(content))
     run(mapping)
+
+
+# --- arc lengths ----------------------------------------------------------------------------------
+
+
+def _arcs_of(folder: Path) -> list[tuple[float, float | None]]:
+    markers = yaml.safe_load((folder / "import.yaml").read_text())["markers"]
+    return [(m["arc_length_m"], m.get("arc_length_std_m")) for m in markers]
+
+
+def test_arc_lengths_are_the_stated_ones(tmp_path: Path) -> None:
+    (file,) = wide_metres(made(), tmp_path)
+    arcs = "0.021, 0.04,0.06,0.08 0.1"
+    told = run(file, "-o", tmp_path / "s", *CABLE, "--arc-lengths", arcs)
+    assert "arc lengths are those of --arc-lengths" in told
+    assert _arcs_of(tmp_path / "s") == [(s, None) for s in (0.021, 0.04, 0.06, 0.08, 0.1)]
+
+
+@pytest.mark.parametrize(
+    ("arcs", "told"),
+    [
+        ("0.02,0.04,0.06,0.1", "has 4 values, but 5 markers are found ('m1', 'm2', 'm3', 'm4'"),
+        ("0.1,0.08,0.06,0.04,0.02", "does not rise from the gripper to the tip; order"),
+        ("20,40,60,80,100", "puts marker 5 from the gripper at 100 m, yet on the curve"),
+        ("0.02,0.055,0.06,0.08,0.1", "puts marker 2 from the gripper at 0.055 m, yet"),
+        ("2 cm", "'2 cm' holds no numbers; give metres, as 0.02,0.05,0.1"),
+    ],
+)
+def test_arc_lengths_that_the_markers_contradict_are_refused(
+    arcs: str, told: str, tmp_path: Path
+) -> None:
+    (file,) = wide_metres(made(), tmp_path)
+    assert told in run(file, "-o", tmp_path / "s", *CABLE, "--arc-lengths", arcs, code=2)
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_column_with_one_value_for_each_point_holds_arc_lengths(tmp_path: Path) -> None:
+    m = made()
+    points = [("hand", 0.0, m.gripper_m)]
+    points += [
+        (n, s, m.markers_m[:, k]) for k, (n, s) in enumerate(zip(NAMES, ARCS_M, strict=True))
+    ]
+    rows = [[f"{t:.6f}", name, f"{1e3 * arc:g}", f"{x:.7f}", f"{y:.7f}"]
+            for k, t in enumerate(m.t_s) for name, arc, xy in points
+            for x, y in [1e3 * xy[k]]]  # fmt: skip
+    head = ["t_s", "point", "along_mm", "x_mm", "y_mm"]
+    file = saved(tmp_path / "a.csv", text([head, *rows]))
+    told = run(file, "-o", tmp_path / "s", *CABLE, "--clamp-angle", "0.2")
+    assert "arc lengths are those of column 'along'" in told
+    assert "m1 along" not in told
+    assert _arcs_of(tmp_path / "s") == [(pytest.approx(s), None) for s in ARCS_M]
