@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from contextvars import ContextVar
+from dis import opname
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -278,6 +279,27 @@ def reserved_output() -> Iterator[None]:
         os.close(output)
 
 
+#: Packages whose errors have messages for people.
+_OURS = ("calib", "cell", "drivers", "tools")
+
+
+def _is_about_input(error: Exception) -> bool:
+    """Whether an error has a message for people: its class is ours, or our code raised it.
+
+    Another ValueError, such as that of `max([])`, is a fault of this program.
+    """
+    if isinstance(error, FileNotFoundError) or type(error).__module__.split(".")[0] in _OURS:
+        return True
+    traceback = error.__traceback__
+    if traceback is None or error.__cause__ is not None:  # it comes from another error or process
+        return True
+    while traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    frame = traceback.tb_frame
+    is_raised = opname[frame.f_code.co_code[traceback.tb_lasti]] == "RAISE_VARARGS"
+    return is_raised and str(frame.f_globals.get("__name__")).split(".")[0] in _OURS
+
+
 @contextmanager
 def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]:
     """Exit with code 2 and a message, before anything is written, if the input is wrong.
@@ -294,6 +316,8 @@ def refusing(*outputs: Path | None, force: bool | None = None) -> Iterator[None]
         with reserved_output() if STDOUT in outputs else nullcontext():
             yield
     except (FileNotFoundError, ValueError) as error:  # InputError, EffectError … among them
+        if not _is_about_input(error):
+            raise
         if isinstance(error, FileNotFoundError) and error.filename is not None:
             print(f"{error.filename}: {error.strerror}; check the name", file=sys.stderr)
         else:
