@@ -265,13 +265,17 @@ def arcs_of(
 
 
 def arc_stds(
-    scene: PlaneChain, stated: Stated, arcs: Sequence[float | None], findings: ImportFindings
+    scene: PlaneChain,
+    stated: Stated,
+    arcs: Sequence[float | None],
+    measured: MeasuredArcs | None,
+    findings: ImportFindings,
 ) -> list[float | None]:
-    """Standard deviations of the proposed arc lengths, m; None where these are unknown."""
+    """Standard deviations of the arc lengths, m; None where these are measured or unknown."""
     last_m, places_m = arcs[-1], scene.xy_m
     if scene.from_gripper and len(scene.shape) > places_m.shape[1]:
         places_m = np.insert(places_m, 0, scene.shape[0], axis=1)
-    if last_m is None or places_m.shape[1] < A_LINE:
+    if measured is not None or last_m is None or places_m.shape[1] < A_LINE:
         return [None] * len(arcs)
     length_m = stated.free_length_m or last_m
     stds = arc_length_stds(places_m, length_m, scene.from_gripper)

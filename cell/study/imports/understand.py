@@ -36,6 +36,7 @@ from cell.study.imports.gripper_section import (
 from cell.study.imports.mapping import FORMAT, Mapping, MarkerEntry, TrialEntry
 from cell.study.imports.places import angle_of, find_axes, places_m
 from cell.study.imports.plane_chain import (
+    MeasuredArcs,
     PlaneChain,
     arc_stds,
     arcs_of,
@@ -128,7 +129,7 @@ def _proposed(
         first.capture, inside, chosen.gripper, chosen.markers, stated.rate_hz
     )
     findings.insert(0, finding)
-    times_s(first.capture, time)  # in disorder nothing below means anything
+    times_s(first.capture, time)  # is it in order?
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
     points = [*([start] if start else []), *chosen.markers]
     raw = detected_points(first.capture, points, chosen)
@@ -145,7 +146,7 @@ def _proposed(
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
     measured = measured_arcs(first.capture, chosen.markers, stated)
     arcs = arcs_of(scene, chosen, stated, scale is not None, measured, findings)
-    stds = arc_stds(scene, stated, arcs, findings) if measured is None else [None] * len(arcs)
+    stds = arc_stds(scene, stated, arcs, measured, findings)
     at_ends, *others = root_ends(trials, points, chosen, axes, arcs)
     root = replace(root_at_rest(scene, arcs), first=at_ends, others=tuple(filter(None, others)))
     if gripper is not None:
@@ -183,8 +184,7 @@ def _proposed(
     gain = None if is_stated else stroke_gain(trials, mapping, chosen.clamp)
     markers = _from_gripper(mapping.markers)
     _add_missing(mapping, findings)
-    of_arcs = () if measured is None else measured.columns
-    _add_unused((inside, first.capture), chosen, gripper, hand, of_arcs, findings)
+    _add_unused((inside, first.capture), chosen, gripper, hand, measured, findings)
     mapping = mapping.model_copy(update={"trials": entries, "markers": markers})
     return Understanding(mapping, tuple(findings)), gain
 
@@ -390,13 +390,14 @@ def _add_unused(
     chosen: Chosen,
     gripper: GripperFile | None,
     hand: GripperSection,
-    of_arcs: Sequence[str],
+    measured: MeasuredArcs | None,
     findings: ImportFindings,
 ) -> None:
     _add_unused_of_gripper(gripper, hand, findings)
     inside, capture = file
     points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
-    used = {n for p in points if p is not None for n in p.columns} | set(of_arcs)
+    used = {n for p in points if p is not None for n in p.columns}
+    used |= set(measured.columns if measured is not None else ())
     unused = [*(n for p in inside.points for n in p.columns), *inside.unused]
     unused = [n for n in unused if n not in used]
     of_angle = {hand.angle.column, *(hand.angle.rotation or ())}
