@@ -133,8 +133,7 @@ def _proposed(
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
     points = [*([start] if start else []), *chosen.markers]
     raw = detected_points(first.capture, points, chosen)
-    shape, units = shape_at_rest(raw), {p.unit for p in points}
-    rest = None
+    shape, units, rest = shape_at_rest(raw), {p.unit for p in points}, None
     if gripper is not None and start is None and len(raw[rest_rows(raw)]):
         rest = first_point(gripper, shape, units, stated.free_length_m)
     shape = shape if rest is None else np.vstack([rest, shape])
