@@ -18,6 +18,8 @@ from cell.study.imports.units import unit_of
 
 #: Arrays by their path within a file, the outermost name first.
 Tree = dict[tuple[str, ...], NDArray[Any]]
+#: Units that a file states for its arrays.
+Units = dict[tuple[str, ...], str]
 
 #: Separators between a file and its part, and between the names of the part.
 PART, WITHIN = "#", "."
