@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
+from cell.study.imports.array_facts import facts_of
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.contents import contents
 from cell.study.imports.documents import AXES
@@ -27,12 +27,14 @@ from cell.study.imports.groups import (
     apart_by_length,
     group_of,
     labels,
+    of_points,
     split_part,
     time_groups,
     trials_in,
     within,
 )
 from cell.study.imports.hdf5_file import hdf5_tree
+from cell.study.imports.igor_text import igor_tree, is_igor_text
 from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
 from cell.study.imports.octave_text import is_octave_text, octave_variables
@@ -43,18 +45,15 @@ from cell.study.imports.sheets import (
     read_sheet,
     trials_in_sheets,
 )
-from cell.study.imports.stated import OF_CABLE
 from cell.study.imports.streams import streams_tree
+from cell.study.imports.tdms_file import tdms_tree
 from cell.study.imports.trial_dimension import by_trials
-from cell.study.imports.units import METRES, SECONDS, split_unit, unit_of
+from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
 _Read = TypeVar("_Read")
 
-#: Names of numbers that are rates, and of units.
-_RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
-_UNIT = re.compile(r"(length_?)?units?")
 #: Minimum number of rows of a trial.
 _FEWEST_ROWS = 3
 
@@ -80,12 +79,14 @@ def read_container(path: Path) -> Capture:
 def _tree(path: Path) -> tuple[Tree, Units]:
     if is_octave_text(path):  # which may be called .mat
         return flat(octave_variables(path)), {}
+    if is_igor_text(path):
+        return igor_tree(path)
     return by_trials(*_TREES.get(path.suffix.lower(), line_protocol_tree)(path))
 
 
 def is_text_of_arrays(path: Path) -> bool:
-    """Whether a text holds named series: Octave's variables, or lines of a protocol."""
-    return is_octave_text(path) or is_line_protocol(path)
+    """Whether a text holds named series: of Octave, of Igor, or of a line protocol."""
+    return is_octave_text(path) or is_igor_text(path) or is_line_protocol(path)
 
 
 def parts_of(path: Path) -> list[FilePart]:
@@ -249,6 +250,7 @@ def _check_one_trial(path: Path, tree: Tree) -> None:
 def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     """Columns of all arrays with the most frequent number of rows."""
     arrays = {key: np.squeeze(values) for key, values in tree.items()}
+    facts, notes = facts_of(path, arrays)
     numbers = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub" and v.ndim >= 1}
     lengths = Counter(n for v in numbers.values() for n in set(v.shape) if n >= _FEWEST_ROWS)
     if not lengths:
@@ -259,6 +261,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     texts = {key: [cell_text(v) for v in value.ravel()] for key, value in arrays.items()
              if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
     _check_one_trial(path, tree)
+    names = of_points(texts, arrays)
     columns: list[CapturedColumn] = []
     series: list[NDArray[Any]] = []
     left_out: list[str] = []
@@ -269,10 +272,10 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
         shapes = [v.shape for k, v in numbers.items() if k[:-1] == key[:-1]]
-        for name, column in _columns(key, values, labels(key, values.shape, texts, shapes)):
-            columns.append(CapturedColumn(name, units.get(key, "")))
+        for name, column in _columns(key, values, labels(key, values.shape, names, shapes)):
+            columns.append(CapturedColumn(name, units.get(key, "") or _unit_in_name(key[-1], name)))
             series.append(column)
-    notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
+    notes += [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
     notes += [
         f"{path}: {'/'.join(key)} holds no numbers but objects of Python; it is not read"
         for key, value in arrays.items()
@@ -280,8 +283,8 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     ]
     capture = Capture(
         path, tuple(_unique(columns)), np.column_stack(series), np.arange(1, rows + 1),
-        _rate_hz(arrays), _unit(texts), notes=tuple(notes), of_cable=_of_cable(arrays),
-        counted="row",
+        facts.rate_hz, facts.unit, notes=tuple(notes), of_cable=facts.of_cable,
+        counted="row", pixel_m=facts.pixel_m,
     )  # fmt: skip
     of_rows = {_name(k): w for k, w in texts.items() if len(w) == rows}
     return pivoted(capture, of_rows)
@@ -322,6 +325,12 @@ def _columns(
         yield from _of_point(point, values[:, k])
 
 
+def _unit_in_name(array: str, column: str) -> str:
+    """Unit of length or angle, or px, at the end of an array's name, where its column has none."""
+    unit = "" if split_unit(column)[1] else split_unit(array)[1]
+    return unit if unit in METRES or unit in RADIANS or unit == "px" else ""
+
+
 def _with_name(own: str, label: str) -> str:
     """A column's name with that of its array, and its unit at the end."""
     bare, unit = split_unit(label)
@@ -355,32 +364,11 @@ def _unique(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
         yield column if count == 1 else CapturedColumn(f"{column.name} #{count}", column.unit)
 
 
-def _rate_hz(arrays: Tree) -> float | None:
-    """Rows per second stated by a scalar."""
-    for key, value in arrays.items():
-        if value.ndim == 0 and value.dtype.kind in "fiu" and _RATE.fullmatch(key[-1].lower()):
-            return float(value) if float(value) > 0.0 else None
-    return None
-
-
-def _of_cable(arrays: Tree) -> tuple[tuple[str, float], ...]:
-    """Positive scalars with the names of a study's cable properties."""
-    single = {key[-1]: v for key, v in arrays.items() if v.ndim == 0 and v.dtype.kind in "fiu"}
-    return tuple((name, float(single[name])) for name in OF_CABLE if single.get(name, 0.0) > 0.0)
-
-
-def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
-    """Unit of length stated by a text."""
-    units = [unit_of(texts[0]) for key, texts in words.items()
-            if len(texts) == 1 and _UNIT.fullmatch(key[-1].lower())]  # fmt: skip
-    return next((unit for unit in units if unit in METRES), "")
-
-
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
     ".mat": _mat, ".parquet": partial(_arrow, "parquet"), ".npy": _npy, ".npz": _npz,
     ".h5": hdf5_tree, ".hdf5": hdf5_tree, ".nc": hdf5_tree,
     ".feather": partial(_arrow, "feather"), ".arrow": partial(_arrow, "feather"),
-    ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
+    ".tdms": tdms_tree, ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
 }  # fmt: skip
 #: Endings of names of files of arrays.
 CONTAINERS = (*WITH_SHEETS, *_TREES)
