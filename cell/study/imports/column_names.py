@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from cell.study.imports.capture import CapturedColumn
-from cell.study.imports.units import RADIANS, SECONDS, split_unit
+from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
 
 
 class ColumnKind(Enum):
@@ -112,7 +112,7 @@ def meaning(column: CapturedColumn) -> Meaning:
         return Meaning(kind, group, "xyz"[part % 3], unit or "m")
     if bare.lower() == _X_VALUE:
         return Meaning(ColumnKind.TIME, "", "", unit or "s")
-    words = _words(bare)
+    words, unit = _without_unit(_words(bare), unit)
     unit = unit or next((_TIME_WITH_UNIT[w] for w in words if w in _TIME_WITH_UNIT), "")
     if (acceleration := _acceleration(words, unit)) is not None:
         return acceleration
@@ -138,6 +138,17 @@ def meaning(column: CapturedColumn) -> Meaning:
     dropped = _FILLER | _ANGLE | {"quat", "quaternion"} | _OF_KIND.get(kind, frozenset())
     dropped = frozenset() if kind is ColumnKind.OTHER else dropped
     return Meaning(kind, " ".join(w for w in rest if w not in dropped), axis, unit)
+
+
+def _without_unit(words: list[str], unit: str) -> tuple[list[str], str]:
+    """Words of a name without its unit between them, and the unit; px is one beside an axis."""
+    within = unit if unit in METRES or unit in RADIANS or unit == "px" else ""
+    if "px" in words[1:] and set("xyz") & set(words):  # also where places are scaled since
+        within, unit = "px", unit or "px"
+    if within in words[1:]:
+        place = words.index(within, 1)
+        words = words[:place] + words[place + 1 :]
+    return words, unit
 
 
 #: A name that ends or begins with its axis, or ends with the number of an array's column, from 0 or

@@ -1,8 +1,7 @@
-"""Files of arrays: sheets, MATLAB's .mat, Parquet, NumPy's .npy and .npz, HDF5, netCDF 4."""
+"""Files of arrays: MATLAB's .mat, Parquet, NumPy's .npy and .npz; and parts of files."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.files.input_error import InputError
+from cell.study.imports.array_facts import facts_of
 from cell.study.imports.capture import Capture, CapturedColumn
 from cell.study.imports.contents import contents
 from cell.study.imports.documents import AXES
@@ -23,14 +23,18 @@ from cell.study.imports.groups import (
     WITHIN,
     FilePart,
     Tree,
+    Units,
     apart_by_length,
     group_of,
     labels,
+    of_points,
     split_part,
     time_groups,
     trials_in,
     within,
 )
+from cell.study.imports.hdf5_file import hdf5_tree
+from cell.study.imports.igor_text import igor_tree, is_igor_text
 from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
 from cell.study.imports.long_tables import pivoted
 from cell.study.imports.octave_text import is_octave_text, octave_variables
@@ -41,21 +45,15 @@ from cell.study.imports.sheets import (
     read_sheet,
     trials_in_sheets,
 )
-from cell.study.imports.stated import OF_CABLE
 from cell.study.imports.streams import streams_tree
-from cell.study.imports.trial_dimension import by_trials, with_trials_first
-from cell.study.imports.units import METRES, SECONDS, split_unit, unit_of
+from cell.study.imports.tdms_file import tdms_tree
+from cell.study.imports.trial_dimension import by_trials
+from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
 _Read = TypeVar("_Read")
-#: Units that attributes of arrays state.
-Units = dict[tuple[str, ...], str]
 
-#: Names of arrays that hold a table's columns, of numbers that are rates, and of units.
-_OF_PANDAS = re.compile(r"values_block_\d+")
-_RATE = re.compile(r"(frame_?rate|sampl(e|ing)_?rate|rate|frequency|freq|fps|fs)(_hz)?")
-_UNIT = re.compile(r"(length_?)?units?")
 #: Minimum number of rows of a trial.
 _FEWEST_ROWS = 3
 
@@ -81,12 +79,14 @@ def read_container(path: Path) -> Capture:
 def _tree(path: Path) -> tuple[Tree, Units]:
     if is_octave_text(path):  # which may be called .mat
         return flat(octave_variables(path)), {}
+    if is_igor_text(path):
+        return igor_tree(path)
     return by_trials(*_TREES.get(path.suffix.lower(), line_protocol_tree)(path))
 
 
 def is_text_of_arrays(path: Path) -> bool:
-    """Whether a text holds named series: Octave's variables, or lines of a protocol."""
-    return is_octave_text(path) or is_line_protocol(path)
+    """Whether a text holds named series: of Octave, of Igor, or of a line protocol."""
+    return is_octave_text(path) or is_igor_text(path) or is_line_protocol(path)
 
 
 def parts_of(path: Path) -> list[FilePart]:
@@ -151,7 +151,7 @@ def _mat(path: Path) -> tuple[Tree, Units]:
     with path.open("rb") as stream:
         is_hdf5 = b"MATLAB 7.3" in stream.read(128)
     if is_hdf5:
-        return _hdf5_tree(path, reverse=True)
+        return hdf5_tree(path, reverse=True)
     from scipy.io import loadmat
 
     content = loadmat(path, simplify_cells=True)
@@ -212,78 +212,6 @@ def _npz(path: Path) -> tuple[Tree, Units]:
     return flat(arrays), {}
 
 
-def _hdf5_tree(path: Path, reverse: bool = False) -> tuple[Tree, Units]:
-    """Arrays, numeric attributes of groups, and the units of the arrays."""
-    import h5py
-
-    tree: Tree = {}
-    units: Units = {}
-
-    def collect(name: str, item: Any) -> None:
-        key = tuple(name.split("/")) if name else ()
-        if isinstance(item, h5py.Group) and not name.startswith("#"):
-            numbers = {n: np.asarray(v) for n, v in item.attrs.items() if np.ndim(v) == 0}
-            tree.update({(*key, n): v for n, v in numbers.items() if v.dtype.kind in "fiu"})
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-            return
-        values = _hdf5_values(store, item)
-        if values.dtype.names is not None:
-            _check_names(path, values.dtype.names)
-            tree.update({(*key, n): values[n] for n in values.dtype.names})
-            return
-        tree[key] = values.T if reverse else with_trials_first(values, _dimensions(item))
-        unit = next((item.attrs[k] for k in ("units", "unit") if k in item.attrs), "")
-        text = unit.decode() if isinstance(unit, bytes) else str(unit)
-        units[key] = unit_of(text.partition(" since ")[0])
-
-    with h5py.File(path, "r") as store:
-        collect("", store)
-        store.visititems(collect)
-    return tree, units
-
-
-def _hdf5_values(store: Any, item: Any) -> NDArray[Any]:
-    """Values of a dataset; MATLAB's texts, and its cells of texts, as words."""
-    import h5py
-
-    if h5py.check_string_dtype(item.dtype):
-        return np.asarray(item.asstr()[()])
-    if _is_matlab_text(item):
-        return np.array(_matlab_text(item), dtype=object)
-    values = np.asarray(item[()])
-    if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
-        return values
-    cells = [store[reference] for reference in values.ravel()]
-    if not cells or not all(map(_is_matlab_text, cells)):
-        return values
-    return np.array([_matlab_text(cell) for cell in cells], dtype=object)
-
-
-def _is_matlab_text(item: Any) -> bool:
-    return bool(item.attrs.get("MATLAB_class") == b"char")
-
-
-def _matlab_text(item: Any) -> str:
-    """Characters of a row, which are numbers; none where MATLAB stores the size of an empty text.
-
-    source  MATLAB, MAT-file version 7.3: attribute MATLAB_empty
-    """
-    empty = "MATLAB_empty" in item.attrs
-    return "" if empty else "".join(map(chr, np.asarray(item[()]).ravel()))
-
-
-def _dimensions(item: Any) -> list[str]:
-    """Names of a dataset's dimensions; empty = none is stated."""
-    return [dim[0].name.rpartition("/")[2] if len(dim) else "" for dim in item.dims]
-
-
-def _check_names(path: Path, names: Sequence[str]) -> None:
-    """Raise InputError if only pandas can read the names of the columns."""
-    if any(_OF_PANDAS.fullmatch(name) for name in names):
-        message = "is a table of pandas, which alone knows the names of its columns; save it as "
-        raise InputError.at(path, f"{message}CSV: DataFrame.to_csv, of DeepLabCut save_as_csv=True")
-
-
 def flat(content: Mapping[str, Any], above: tuple[str, ...] = ()) -> Tree:
     """Arrays of structures within structures."""
     arrays: Tree = {}
@@ -322,6 +250,7 @@ def _check_one_trial(path: Path, tree: Tree) -> None:
 def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     """Columns of all arrays with the most frequent number of rows."""
     arrays = {key: np.squeeze(values) for key, values in tree.items()}
+    facts, notes = facts_of(path, arrays)
     numbers = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub" and v.ndim >= 1}
     lengths = Counter(n for v in numbers.values() for n in set(v.shape) if n >= _FEWEST_ROWS)
     if not lengths:
@@ -332,6 +261,7 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     texts = {key: [cell_text(v) for v in value.ravel()] for key, value in arrays.items()
              if value.dtype.kind in "OUS" and value.ndim <= 1}  # fmt: skip
     _check_one_trial(path, tree)
+    names = of_points(texts, arrays)
     columns: list[CapturedColumn] = []
     series: list[NDArray[Any]] = []
     left_out: list[str] = []
@@ -342,10 +272,10 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
         along = values.shape.index(rows)
         values = np.moveaxis(values, along, 0).astype(np.float64)
         shapes = [v.shape for k, v in numbers.items() if k[:-1] == key[:-1]]
-        for name, column in _columns(key, values, labels(key, values.shape, texts, shapes)):
-            columns.append(CapturedColumn(name, units.get(key, "")))
+        for name, column in _columns(key, values, labels(key, values.shape, names, shapes)):
+            columns.append(CapturedColumn(name, units.get(key, "") or _unit_in_name(key[-1], name)))
             series.append(column)
-    notes = [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
+    notes += [f"{path}: {n} is no series of {rows} rows; it is not read" for n in left_out]
     notes += [
         f"{path}: {'/'.join(key)} holds no numbers but objects of Python; it is not read"
         for key, value in arrays.items()
@@ -353,8 +283,8 @@ def capture_of(path: Path, tree: Tree, units: Units) -> Capture:
     ]
     capture = Capture(
         path, tuple(_unique(columns)), np.column_stack(series), np.arange(1, rows + 1),
-        _rate_hz(arrays), _unit(texts), notes=tuple(notes), of_cable=_of_cable(arrays),
-        counted="row",
+        facts.rate_hz, facts.unit, notes=tuple(notes), of_cable=facts.of_cable,
+        counted="row", pixel_m=facts.pixel_m,
     )  # fmt: skip
     of_rows = {_name(k): w for k, w in texts.items() if len(w) == rows}
     return pivoted(capture, of_rows)
@@ -395,6 +325,12 @@ def _columns(
         yield from _of_point(point, values[:, k])
 
 
+def _unit_in_name(array: str, column: str) -> str:
+    """Unit of length or angle, or px, at the end of an array's name, where its column has none."""
+    unit = "" if split_unit(column)[1] else split_unit(array)[1]
+    return unit if unit in METRES or unit in RADIANS or unit == "px" else ""
+
+
 def _with_name(own: str, label: str) -> str:
     """A column's name with that of its array, and its unit at the end."""
     bare, unit = split_unit(label)
@@ -428,32 +364,11 @@ def _unique(columns: Sequence[CapturedColumn]) -> Iterator[CapturedColumn]:
         yield column if count == 1 else CapturedColumn(f"{column.name} #{count}", column.unit)
 
 
-def _rate_hz(arrays: Tree) -> float | None:
-    """Rows per second stated by a scalar."""
-    for key, value in arrays.items():
-        if value.ndim == 0 and value.dtype.kind in "fiu" and _RATE.fullmatch(key[-1].lower()):
-            return float(value) if float(value) > 0.0 else None
-    return None
-
-
-def _of_cable(arrays: Tree) -> tuple[tuple[str, float], ...]:
-    """Positive scalars with the names of a study's cable properties."""
-    single = {key[-1]: v for key, v in arrays.items() if v.ndim == 0 and v.dtype.kind in "fiu"}
-    return tuple((name, float(single[name])) for name in OF_CABLE if single.get(name, 0.0) > 0.0)
-
-
-def _unit(words: Mapping[tuple[str, ...], Sequence[str]]) -> str:
-    """Unit of length stated by a text."""
-    units = [unit_of(texts[0]) for key, texts in words.items()
-            if len(texts) == 1 and _UNIT.fullmatch(key[-1].lower())]  # fmt: skip
-    return next((unit for unit in units if unit in METRES), "")
-
-
 _TREES: dict[str, Callable[[Path], tuple[Tree, Units]]] = {
     ".mat": _mat, ".parquet": partial(_arrow, "parquet"), ".npy": _npy, ".npz": _npz,
-    ".h5": _hdf5_tree, ".hdf5": _hdf5_tree, ".nc": _hdf5_tree,
+    ".h5": hdf5_tree, ".hdf5": hdf5_tree, ".nc": hdf5_tree,
     ".feather": partial(_arrow, "feather"), ".arrow": partial(_arrow, "feather"),
-    ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
+    ".tdms": tdms_tree, ".json": streams_tree, ".jsonl": streams_tree, ".ndjson": streams_tree,
 }  # fmt: skip
 #: Endings of names of files of arrays.
 CONTAINERS = (*WITH_SHEETS, *_TREES)

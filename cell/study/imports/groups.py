@@ -18,6 +18,8 @@ from cell.study.imports.units import unit_of
 
 #: Arrays by their path within a file, the outermost name first.
 Tree = dict[tuple[str, ...], NDArray[Any]]
+#: Units that a file states for its arrays.
+Units = dict[tuple[str, ...], str]
 
 #: Separators between a file and its part, and between the names of the part.
 PART, WITHIN = "#", "."
@@ -50,7 +52,7 @@ def with_part(path: Path, part: str) -> Path:
 
 def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
     """Groups that hold a series of times; without any, groups alike with several points."""
-    if times := _times(tree):
+    if times := times_in(tree):
         return list(dict.fromkeys(key[:-1] for key in times))
     names: dict[tuple[str, ...], set[str]] = {}
     for key in tree:
@@ -60,7 +62,8 @@ def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str,
     return alike if len(alike) == len(of_points) else []
 
 
-def _times(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
+def times_in(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:
+    """Arrays that are series of times by their names."""
     return [
         key
         for key, values in tree.items()
@@ -76,7 +79,7 @@ def apart_by_length(tree: Tree) -> Tree:
     Such a group is named after the gripper if one of its arrays is, else after its times.
     """
     times: dict[tuple[str, ...], dict[int, str]] = {}
-    for *group, name in _times(tree):
+    for *group, name in times_in(tree):
         times.setdefault(tuple(group), {}).setdefault(tree[*group, name].size, name)
     grouped: Tree = {}
     for (*group, name), values in tree.items():
@@ -87,8 +90,15 @@ def apart_by_length(tree: Tree) -> Tree:
             continue
         members = (k[-1] for k, v in tree.items() if k[:-1] == tuple(group) and length in v.shape)
         title = next((n for n in members if HAND & _words((n,))), of_length[length])
+        title = _without_axis(title)
         grouped[*group, title, name] = values
     return grouped
+
+
+def _without_axis(name: str) -> str:
+    """A name without its axis, which the names of a group's arrays would repeat."""
+    by_name = meaning(CapturedColumn(name))
+    return "_".join(by_name.group.split()) if by_name.axis and by_name.group else name
 
 
 def within(tree: Tree, group: tuple[str, ...]) -> Tree:
@@ -194,6 +204,19 @@ _BETWEEN = re.compile(r"[\s,;]+")
 
 #: Texts by the path of their array within a file.
 Words = Mapping[tuple[str, ...], Sequence[str]]
+
+
+def of_points(words: Words, tree: Tree) -> Words:
+    """The texts without names of recordings: a `name`, or one word as `label`, beside times."""
+    recordings = {key[:-1] for key in times_in(tree)}
+
+    def names_recording(key: tuple[str, ...], texts: Sequence[str]) -> bool:
+        if len(texts) != 1 or key[:-1] not in recordings:
+            return False
+        own = key[-1].lower()
+        return own == "name" or (own == "label" and len(_BETWEEN.split(texts[0])) == 1)
+
+    return {key: texts for key, texts in words.items() if not names_recording(key, texts)}
 
 
 def labels(

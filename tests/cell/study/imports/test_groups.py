@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +90,146 @@ def test_an_array_of_structures_is_a_trial_each_and_a_sentence_names_columns(
     study, _ = _study(file)
     assert [t.name for t in study.trials] == ["down", "turning"]
     check_same(study, *truth, place_m=PLACE_M)
+
+
+@pytest.mark.parametrize("word, above", [("name", True), ("name", False), ("label", True)])
+def test_the_name_of_a_run_is_no_part_of_the_names_of_its_columns(
+    tmp_path: Path, word: str, above: bool
+) -> None:
+    """Columns of the second run were sought by the name of the first."""
+    from scipy.io import savemat
+
+    truth, runs = known_study(), []
+    for s in truth:
+        camera = {"time": s.t_s} | {
+            f"{a}_mm": s.markers_m[..., i] * 1e3 for i, a in enumerate("xy")
+        }
+        log = _hand_log(s)
+        robot = {"time": log["t_ms"] * 1e-3, "theta_rad": log["angle_rad"]}
+        robot["pos_mm"] = np.column_stack([log["x_m"], log["y_m"]]) * 1e3
+        label = {word: s.name}
+        below = {} if above else label
+        runs.append({"cam": camera | below, "robot": robot | below} | label)
+    file = tmp_path / "runs.mat"
+    savemat(file, {"data": runs})
+    study, _ = _study(file)
+    assert [t.name for t in study.trials] == ["down", "turning"]
+    check_same(study, *truth, place_m=2e-4, angle_rad=1e-3)
+    columns = {c.name: c.unit for c in read_capture(tmp_path / "runs.mat#data.down.cam").columns}
+    assert columns["x_mm 0"] == "mm" and not any("down" in name for name in columns)
+
+
+@pytest.mark.parametrize("scale", ["json", "array", "none"])
+def test_two_clocks_at_one_level_are_camera_and_robot(tmp_path: Path, scale: str) -> None:
+    """The px of an array of pixels was taken as the axis of all its columns."""
+    s = known_study()[1]
+    log = _hand_log(s)
+    meta = {"run": 3, "mm_per_px": 0.2, "origin_px": [400, 300]}
+    stated = {"json": {"meta": json.dumps(meta)}, "array": {"mm_per_px": 0.2}, "none": {}}
+    file = tmp_path / "run.npz"
+    np.savez(
+        file, t_cam=1.7e9 + s.t_s, pts_px=s.markers_m * [5e3, -5e3] + [400.0, 300.0],
+        t_robot=1.7e9 + log["t_ms"] * 1e-3, tcp_xy_m=np.column_stack([log["x_m"], log["y_m"]]),
+        tcp_pitch_rad=log["angle_rad"], **stated[scale],
+    )  # fmt: skip
+    study, _ = _study(file)
+    (trial,) = study.trials
+    moved = trial.markers.xy_m[:, ::-1] - trial.markers.xy_m[0, ::-1]
+    limit = 5e-4 if scale == "none" else 1e-6  # then the unit is estimated
+    np.testing.assert_allclose(moved, s.markers_m - s.markers_m[0], rtol=0.0, atol=limit)
+    at = np.interp(s.t_s, trial.grip.t_s - trial.markers.t_s[0], trial.grip.angle_rad)
+    np.testing.assert_allclose(at, s.angle_rad, atol=2e-3)
+    notes = " ".join(read_capture(tmp_path / "run.npz#t_cam").notes)
+    assert ("meta states run, origin_px, which is not read" in notes) == (scale == "json")
+    assert ("0.2 mm a pixel" in notes) == (scale != "none")
+
+
+def test_a_gripper_named_by_its_axes_keeps_its_times(tmp_path: Path) -> None:
+    """They were named `tcp_x_m time_arm`, a coordinate."""
+    s = known_study()[1]
+    log = _hand_log(s)
+    hand = {"tcp_x_m": log["x_m"], "tcp_y_m": log["y_m"], "tcp_pitch_rad": log["angle_rad"]}
+    file = tmp_path / "run.npz"
+    np.savez(file, time_cam=s.t_s, pts_m=s.markers_m, **hand, time_arm=log["t_ms"] * 1e-3)
+    study, _ = _study(file)
+    check_same(study, s, place_m=2e-4, angle_rad=1e-3)
+
+
+def _two_rates(s: Swing) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Series of a gripper, mm and rad, from -0.2 s on at 500 Hz; and of markers at 200 Hz."""
+    log = _hand_log(s)
+    hand = {"x": log["x_m"] * 1e3, "y": log["y_m"] * 1e3, "phi": log["angle_rad"]}
+    places = s.markers_m.transpose(1, 2, 0) * 1e3
+    return hand, {f"m{k}_{a}": places[k, i] for k in range(5) for i, a in enumerate("xy")}
+
+
+def _itx(s: Swing, folder: Path) -> Path:
+    lines = ["IGOR", "X // two blocks"]
+    hand, markers = _two_rates(s)
+    for flags, start, step, waves in (
+        ("/D", -0.2, 0.002, {f"clamp_{n}": v for n, v in hand.items()}),
+        ("/D/O", 0.0, 0.005, markers),
+    ):
+        rows = np.column_stack(list(waves.values())).tolist()
+        lines += [f"WAVES{flags}\t" + "\t".join(waves), "BEGIN"]
+        lines += ["\t" + "\t".join(f"{v:.7f}" for v in row) for row in rows] + ["END"]
+        lines += [
+            f'X SetScale/P x {start},{step},"s", {n}; '
+            f'SetScale {"d" if step < 0.004 else "y"} 0,0,"{"rad" if "phi" in n else "mm"}", {n}'
+            for n in waves
+        ]  # fmt: skip
+    file = folder / "swing.itx"
+    file.write_text("\r".join(lines) + "\r")
+    return file
+
+
+def _tdms(s: Swing, folder: Path) -> Path:
+    from nptdms import ChannelObject, TdmsWriter
+
+    hand, markers = _two_rates(s)
+    began = np.datetime64("2026-11-30T12:00:00.000000")
+    file = folder / "swing.tdms"
+    channels = []
+    for group, start_ms, offset_s, step_s, waves in (
+        ("Robot", 0, 0.0, 0.002, hand),
+        ("Vision", 150, 0.05, 0.005, markers),
+    ):
+        stated = {"wf_start_time": began + np.timedelta64(start_ms, "ms"),
+                  "wf_start_offset": offset_s, "wf_increment": step_s}  # fmt: skip
+        channels += [
+            ChannelObject(group, n, v, stated | {"unit_string": "rad" if n == "phi" else "mm"})
+            for n, v in waves.items()
+        ]
+    with TdmsWriter(file) as writer:
+        writer.write_segment(channels)
+    return file
+
+
+@pytest.mark.parametrize("written", [_itx, _tdms])
+def test_series_of_two_rates_have_the_times_that_their_scales_state(
+    tmp_path: Path, written: Callable[[Swing, Path], Path]
+) -> None:
+    s = known_study()[1]
+    study, said = _study(written(s, tmp_path))
+    check_same(study, s, place_m=2e-4, angle_rad=1e-3)
+    assert "unit" not in said and "time" not in said  # the file states the units
+
+
+def test_a_matrix_and_a_time_wave_of_igor_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "w.itx"
+    file.write_text(
+        "IGOR\nWAVES/D t_ms\nBEGIN\n0\n5\n10\nEND\nWAVES/N=(3,2) tip\nBEGIN\n1 2\n3 NaN\n5 6\n"
+        'END\nX SetScale d 0,0,"mm", tip\nWAVES/T note\nBEGIN\n"a b"\nEND\n'
+    )
+    capture = read_capture(file)
+    assert [(c.name, c.unit) for c in capture.columns] == [
+        ("t_ms", ""), ("tip x", "mm"), ("tip y", "mm")
+    ]  # fmt: skip
+    np.testing.assert_array_equal(capture.values, [[0, 1, 2], [5, 3, np.nan], [10, 5, 6]])
+    for text, said in (("BEGIN\n1 x\nEND", "line 4: is no row"), ("BEGIN\n1 2", "no END")):
+        file.write_text(f"IGOR\nWAVES a_x, a_y\n{text}\n")
+        with pytest.raises(InputError, match=said):
+            read_capture(file)
 
 
 def test_places_that_a_faster_program_holds_are_measured_once(tmp_path: Path) -> None:

@@ -193,6 +193,7 @@ def test_a_unit_may_stand_before_the_number_of_a_run() -> None:
         ("tipX", ColumnKind.COORDINATE, "tip", "x"),
         ("x_tip", ColumnKind.COORDINATE, "tip", "x"),
         ("X1", ColumnKind.COORDINATE, "1", "x"),
+        ("pts_px 0 y", ColumnKind.COORDINATE, "pts 0", "y"),
         ("x0_m", ColumnKind.COORDINATE, "0", "x"),
         ("M1Z", ColumnKind.COORDINATE, "m1", "z"),
         ("rig:LED 3 Y", ColumnKind.COORDINATE, "rig led 3", "y"),
@@ -233,6 +234,7 @@ def test_the_meaning_of_names_that_programs_give(
         (".parquet", "pyarrow.parquet"),
         (".h5", "h5py"),
         (".c3d", "ezc3d"),
+        (".tdms", "nptdms"),
     ],
 )
 def test_a_library_that_is_missing_is_named_with_its_extra(
