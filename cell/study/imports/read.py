@@ -15,14 +15,23 @@ from cell.study.imports import delimited
 from cell.study.imports.capture import Capture, CapturedColumn, TextForm, number
 from cell.study.imports.containers import (
     CONTAINERS,
+    Units,
     capture_of,
     flat,
     is_text_of_arrays,
+    parts_of,
     read_container,
 )
 from cell.study.imports.delimited import read_delimited
-from cell.study.imports.documents import CORNERS, FEWEST_RECORDS, cells, is_xml, read_document
-from cell.study.imports.groups import split_part
+from cell.study.imports.documents import (
+    CORNERS,
+    FEWEST_RECORDS,
+    cells,
+    form_in_text,
+    is_xml,
+    read_document,
+)
+from cell.study.imports.groups import Tree, split_part, with_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.repairs import (
@@ -36,6 +45,7 @@ from cell.study.imports.repairs import (
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
 from cell.study.imports.text_content import is_text, text_of
+from cell.study.imports.transforms import holds_transforms, transforms_tree
 from cell.study.imports.units import METRES, unit_of
 from drivers.installing import install_extra
 
@@ -47,12 +57,23 @@ def read_records(path: Path) -> Capture:
     """
     document = read_document(path)
     content, records = document.content, document.records
+    frames, units = transforms_tree(path, document.whole)
+    if frames:
+        return capture_of(path, *_single_source(frames, units))
     arrays = flat(_without_nulls(content)) if isinstance(content, dict) else {}
     series = [v for v in arrays.values() if v.ndim > 0 and v.dtype.kind in "fiu"]
     longest = max((len(v) for v in series), default=0)
     if longest >= max(len(records), FEWEST_RECORDS):
         return capture_of(path, arrays, {})
-    return _table(path, records, document.counted)
+    table = _table(path, records, document.counted)
+    return table.noted(document.note) if document.note else table
+
+
+def _single_source(tree: Tree, units: Units) -> tuple[Tree, Units]:
+    """The series of a source without its name; those of several with it."""
+    if len({key[0] for key in tree}) > 1:
+        return tree, units
+    return {key[1:]: v for key, v in tree.items()}, {key[1:]: u for key, u in units.items()}
 
 
 def _without_nulls(content: Any) -> Any:
@@ -222,17 +243,27 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     """
     file, part = split_part(path)
     ending = file.suffix.lower()
-    if part or (ending not in _READERS and is_text_of_arrays(file)):
-        capture = read_container(path)
+    if part:
+        capture = _of_part(path, file)
     elif ending in _READERS and not (ending in WITH_SHEETS and not has_sheets(file)):
         capture = _READERS[ending](path)
-    elif is_xml(path):
+    elif is_xml(path) or form_in_text(path) or holds_transforms(path):
         capture = read_records(path)
+    elif is_text_of_arrays(file):
+        capture = read_container(path)
     elif ending in TABLES:
         capture = read_delimited(path, form)
     else:
         capture = _of_unknown_kind(path, form)
     return _cleaned(capture)
+
+
+def _of_part(path: Path, file: Path) -> Capture:
+    """A part of a file; the last trial's with the note on the document's last line."""
+    capture = read_container(path)
+    note = read_document(file).note if form_in_text(file) == "lines" else ""
+    is_last = bool(note) and path == with_part(file, parts_of(file)[-1].markers)
+    return capture.noted(note) if is_last else capture
 
 
 def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None) -> Capture:

@@ -146,6 +146,42 @@ def test_topics_are_streams_of_their_own_and_events_frame_trials(tmp_path: Path)
     assert time.seconds_per_unit == 1e-3 and "since 1970" in told.sentence
 
 
+def test_a_dump_of_topics_is_streams_whatever_its_ending(tmp_path: Path) -> None:
+    m, second = made(), made(seed=2)
+    lines = ["line7/plc online", "line7/temp 23.4"]
+    for number, swing in enumerate((m, second), 1):
+        begins_ms = _EPOCH_S * 1e3 + 9e3 * number
+        lines.append(f'line7/job {{"run": {number}, "state": "start"}}')  # it has no time
+        for message in _messages(swing, begins_ms, "")[2:]:
+            topic = {"lab/robot": "line7/arm/tcp", "lab/camera": "line7/cam"}[message["topic"]]
+            lines.append(f"{topic} {json.dumps(message['payload'])}")
+        lines.append(f'line7/job {{"run": {number}, "state": "done"}}')
+    file = saved(tmp_path / "dump.txt", "\n".join([*lines, 'line7/arm/tcp {"ts": 17156']))
+    one, two = _trials(file)
+    assert (one.name, two.name) == ("trial_1", "trial_2")
+    for trial in (one, two):
+        assert trial.gripper is not None and len(trial.gripper.values) == len(m.t_s)
+        assert len(trial.capture.values) == len(m.t_s)
+    torn = [t.name for t in (one, two) if any("line is torn" in n for n in t.capture.notes)]
+    assert torn == ["trial_2"]
+
+
+@pytest.mark.parametrize("name", ["echo.txt", "echo.log", "echo.json"])
+def test_json_lines_are_read_whatever_their_ending(name: str, tmp_path: Path) -> None:
+    lines = [json.dumps({"time": k / 100, "tip": [k, 2.0], "mode": "move"}) for k in range(9)]
+    read = read_capture(saved(tmp_path / name, "\n".join([*lines, lines[0][:9]])))
+    assert read.names == ("time", "tip x", "tip y") and len(read.values) == 9
+    assert any(":10: the last line is torn" in note for note in read.notes)
+    with pytest.raises(InputError, match=r":4: is no JSON"):
+        read_capture(saved(tmp_path / name, "\n".join([*lines[:3], lines[0][:9], *lines[3:]])))
+
+
+def test_a_json_document_is_read_whatever_its_ending(tmp_path: Path) -> None:
+    records = [{"time": k / 100, "tip": [k, 2.0]} for k in range(9)]
+    read = read_capture(saved(tmp_path / "a.log", json.dumps(records, indent=1)))
+    assert read.names == ("time", "tip x", "tip y") and len(read.values) == 9
+
+
 def test_a_nested_record_with_another_clock_is_a_stream(tmp_path: Path) -> None:
     m = made()
     records = []
