@@ -40,8 +40,9 @@ _OF_MAPPING = re.compile(r"^(format|trials) *:", re.MULTILINE)
 _MESSAGE = re.compile(r"(?:(?P<topic>[^\s{}\[\]\",;]+)\s+)?(?P<content>\{.*\})")
 _MOST_LINES = 0.5
 _OTHER_PAYLOAD = re.compile(r"[^\s{}\[\]\",;]+\s+[^{]*")
-#: First line and entry of each document of a YAML text after the first.
+#: First line and entry of each document of a YAML text after the first; an entry of a transform.
 _NEXT_YAML = re.compile(r"^---[ \t]*\n[A-Za-z_]\w*:\s", re.MULTILINE)
+_YAML_FRAME = re.compile(r"^[ -]*child_frame_id:\s", re.MULTILINE)
 #: Form of a document by the ending of its name.
 _FORMS = {".jsonl": "lines", ".ndjson": "lines", ".json": "json", ".yml": "yaml", ".yaml": "yaml",
           ".xml": "xml"}  # fmt: skip
@@ -92,7 +93,8 @@ def form_in_text(path: Path) -> str:
         return "xml"
     if re.match(r"\{\s*\"|\[\s*\{", head):
         return "json"
-    return "yaml" if len(_NEXT_YAML.findall(head)) >= FEWEST_RECORDS else ""
+    is_yaml = len(_NEXT_YAML.findall(head)) >= FEWEST_RECORDS or _YAML_FRAME.search(head)
+    return "yaml" if is_yaml else ""
 
 
 def _message(line: str) -> Any:

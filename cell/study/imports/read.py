@@ -45,7 +45,7 @@ from cell.study.imports.repairs import (
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
 from cell.study.imports.text_content import is_text, text_of
-from cell.study.imports.transforms import holds_transforms, transforms_tree
+from cell.study.imports.transforms import holds_transforms, transform_notes, transforms_tree
 from cell.study.imports.units import METRES, unit_of
 from drivers.installing import install_extra
 
@@ -59,7 +59,7 @@ def read_records(path: Path) -> Capture:
     content, records = document.content, document.records
     frames, units = transforms_tree(path, document.whole)
     if frames:
-        return capture_of(path, *_single_source(frames, units))
+        return capture_of(path, *_single_source(frames, units)).noted(*transform_notes(path))
     arrays = flat(_without_nulls(content)) if isinstance(content, dict) else {}
     series = [v for v in arrays.values() if v.ndim > 0 and v.dtype.kind in "fiu"]
     longest = max((len(v) for v in series), default=0)
@@ -261,6 +261,8 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
 def _of_part(path: Path, file: Path) -> Capture:
     """A part of a file; the last trial's with the note on the document's last line."""
     capture = read_container(path)
+    if holds_transforms(file) and path == with_part(file, parts_of(file)[0].markers):
+        capture = capture.noted(*transform_notes(file))
     note = read_document(file).note if form_in_text(file) == "lines" else ""
     is_last = bool(note) and path == with_part(file, parts_of(file)[-1].markers)
     return capture.noted(note) if is_last else capture

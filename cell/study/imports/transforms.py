@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
+from cell.files.words import first_of
 from cell.study.imports.contents import HAND
 from cell.study.imports.documents import read_document
 from cell.study.imports.groups import Tree
@@ -102,6 +103,20 @@ def static_files(path: Path) -> list[Path]:
     return [p for p in beside if holds_transforms(p)]
 
 
+def transform_notes(path: Path) -> list[str]:
+    """Which files of constant transforms beside a file are used, and which frames have no path."""
+    notes = [f"{path}: the constant transforms of {file.name} beside it are used"
+             for file in static_files(path)]  # fmt: skip
+    roots: dict[str, list[str]] = {}
+    for each in _outermost(_with_static(path, read_document(path).whole)):
+        roots.setdefault(each.root, []).append(each.name)
+    if len(roots) > 1:
+        frames = "; ".join(f"{first_of(names, 3)} in {root!r}" for root, names in roots.items())
+        sentence = f"{path}: no transform joins {frames}: if one is known, save it, as of "
+        notes.append(f"{sentence}/tf_static, in a file with `{_STATIC}` in its name beside this")
+    return notes
+
+
 def transforms_tree(path: Path, content: Any) -> tuple[Tree, dict[tuple[str, ...], str]]:
     """Paths of the outermost frames by source, at the source's times; empty = no transforms.
 
@@ -109,19 +124,9 @@ def transforms_tree(path: Path, content: Any) -> tuple[Tree, dict[tuple[str, ...
 
     raises  InputError: files beside contradict each other
     """
-    edges = _edges(content)
-    if not any(edge.moves for edge in edges.values()):
-        return {}, {}
-    for file in static_files(path):
-        for name, edge in _edges(read_document(file).whole).items():
-            if name in edges and edges[name].parent != edge.parent:
-                message = f"places {name!r} in {edge.parent!r}, another file in "
-                message += f"{edges[name].parent!r}; leave one of them in the folder"
-                raise InputError.at(file, message)
-            edges.setdefault(name, edge)
     tree: Tree = {}
     units: dict[tuple[str, ...], str] = {}
-    for paths in _by_clock(_outermost(edges)):
+    for paths in _by_clock(_outermost(_with_static(path, content))):
         source = _source(paths, {key[0] for key in tree})
         t_s = np.unique(np.concatenate([p.t_s for p in paths]))
         tree[source, "time"], units[source, "time"] = t_s, "s"
@@ -130,6 +135,21 @@ def transforms_tree(path: Path, content: Any) -> tuple[Tree, dict[tuple[str, ...
                 tree[source, name] = values
                 units[source, name] = "m" if name[-2:] in (" x", " y", " z") else ""
     return tree, units
+
+
+def _with_static(path: Path, content: Any) -> dict[str, _Edge]:
+    """Each frame's transforms, with those of files beside.  Raises InputError."""
+    edges = _edges(content)
+    if not any(edge.moves for edge in edges.values()):
+        return {}
+    for file in static_files(path):
+        for name, edge in _edges(read_document(file).whole).items():
+            if name in edges and edges[name].parent != edge.parent:
+                message = f"places {name!r} in {edge.parent!r}, another file in "
+                message += f"{edges[name].parent!r}; leave one of them in the folder"
+                raise InputError.at(file, message)
+            edges.setdefault(name, edge)
+    return edges
 
 
 def _edges(content: Any) -> dict[str, _Edge]:
@@ -194,8 +214,8 @@ def _outermost(edges: Mapping[str, _Edge]) -> list[_Path]:
         for frame in chain[1:]:
             origin, turned = edges[frame].at(t_s)
             place, turn = origin + turned.apply(place), turned * turn
-        known = np.isfinite(place).all(axis=1)
-        if known.any():
+        known = np.flatnonzero(np.isfinite(place).all(axis=1))
+        if known.size:
             root = edges[chain[-1]].parent
             paths.append(_Path(name, moving[0], root, t_s[known], place[known], turn[known]))
     return paths

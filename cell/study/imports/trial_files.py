@@ -15,6 +15,7 @@ from cell.study.imports.groups import with_part
 from cell.study.imports.joined_files import joined, motions, tells_only_turns
 from cell.study.imports.read import read_capture
 from cell.study.imports.row_trials import label_text, rows_of, trial_column, trial_labels
+from cell.study.imports.transforms import only_constant
 from cell.study.imports.trials import Files, unique_names
 
 _Read = Callable[[Path], Capture]
@@ -31,6 +32,7 @@ def read_trials(
     raises  InputError: one cannot be read.  ValueError: hands and trials differ in number
     """
     read, parts_in = cache(read_capture), cache(parts_of)
+    files = [file for file in files if not only_constant(file)] or list(files)
     gripper_files = [hand for hand in hands if hand is not None]
     if not gripper_files or len(gripper_files) < len(files):
         single_parts = not any(parts_in(file) for file in files)
