@@ -458,8 +458,8 @@ def _add_unused(
 ) -> None:
     _add_unused_of_gripper(gripper, hand, findings)
     inside, capture = file
-    points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
-    used = {n for p in points if p is not None for n in p.columns}
+    points = (*chosen.markers, chosen.gripper, chosen.clamp)
+    used = {n for p in points if p is not None for n in p.columns} | set(hand.angle.towards or ())
     unused = [n for p in inside.points for n in p.columns if n not in used] + list(inside.unused)
     of_angle = {hand.angle.column, *(hand.angle.rotation or ())}
     unused += [n for n, _ in inside.angles if n not in of_angle]
