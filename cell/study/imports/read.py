@@ -34,6 +34,7 @@ from cell.study.imports.documents import (
 from cell.study.imports.groups import Tree, split_part, with_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
+from cell.study.imports.other_kinds import EXPORTS, OF_BAG, bag_error
 from cell.study.imports.repairs import (
     in_millimetres,
     with_one_unit,
@@ -57,6 +58,8 @@ def read_records(path: Path) -> Capture:
     """
     document = read_document(path)
     content, records = document.content, document.records
+    if isinstance(content, dict) and OF_BAG in content:
+        raise bag_error(path, "describes")
     frames, units = transforms_tree(path, document.whole)
     if frames:
         return capture_of(path, *_single_source(frames, units)).noted(*transform_notes(path))
@@ -293,6 +296,10 @@ def _cleaned(capture: Capture) -> Capture:
 def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:
     """A text table with an unknown ending.  Raises InputError: it is none."""
     ending = path.suffix.lower() or "no ending"
+    if not path.exists():
+        raise InputError.at(path, "cannot be read: there is no such file; check the name")
+    if ending in EXPORTS and not is_text(path):
+        raise InputError.at(path, f"is not read: it is {EXPORTS[ending].format(path)}")
     if not is_text(path):
         message = f"{ending} is no kind of file that is read; give "
         message += f"{', '.join(KINDS)}, or a video with --config and --hand"

@@ -16,6 +16,7 @@ from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import joined, pivoted, same_frames, time_column
+from cell.study.imports.other_kinds import BAG_TABLES, bag_error
 from cell.study.imports.text_content import is_text
 from cell.study.imports.text_form import DECIMALS
 from cell.study.imports.text_rows import Row, without_summary
@@ -24,7 +25,7 @@ from cell.study.imports.units import METRES, split_unit
 #: Maximum number of rows above a sheet's table.
 _MAX_HEADER = 200
 #: Endings of names of databases, and of all files with sheets.
-_DATABASES = (".db", ".sqlite", ".sqlite3")
+_DATABASES = (".db", ".db3", ".sqlite", ".sqlite3")
 WITH_SHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods", *_DATABASES)
 
 
@@ -127,10 +128,16 @@ def _pages_of_workbook(path: Path) -> Iterator[tuple[str, Iterable[Sequence[obje
 
 
 def _tables_of_database(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
-    """Name of each table of an SQLite database, and its rows below the names of its columns."""
+    """Name of each table of an SQLite database, and its rows below the names of its columns.
+
+    raises  InputError: it is a recording of rosbag2
+    """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
         names = database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
-        for (name,) in names.fetchall():
+        titles = [name for (name,) in names.fetchall()]
+        if BAG_TABLES <= set(titles):
+            raise bag_error(path)
+        for name in titles:
             rows = database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""')))
             yield name, [[c[0] for c in rows.description], *rows.fetchall()]
 

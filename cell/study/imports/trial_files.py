@@ -39,6 +39,8 @@ def read_trials(
         if single_parts and (of_motions := _of_motions(files, gripper_files, read, named)):
             return of_motions
     if gripper_files and len(hands) != len(files):
+        for file in files:
+            parts_in(file) or read(file)  # of a kind that is not read, the number is unknown
         raise ValueError(
             f"--hand names {len(hands)} files for {len(files)} trials; give one for each, "
             "in their order"
