@@ -10,10 +10,11 @@ from cell.files.input_error import InputError
 OF_BAG, BAG_TABLES = "rosbag2_bagfile_information", frozenset(("topics", "messages"))
 _TO_MCAP = "`rosbags-convert --src {} --dst OUT --dst-storage mcap`, of pip's rosbags, makes an "
 _TO_MCAP += ".mcap in the folder OUT, which is read"
-_MDF = "a measurement in MDF; asammdf makes a CSV of it, with one raster and its own clock: MDF("
-_MDF += "'{}').export('csv', single_time_base=True, raster=0.005, time_from_zero=False)"
-_TDMS = "a measurement of LabVIEW; nptdms makes a CSV of each group: TdmsFile.read('{}')[GROUP]"
-_TDMS += ".as_dataframe(time_index=True, absolute_time=True).to_csv('GROUP.csv')"
+_MDF = "a measurement in MDF; asammdf makes a CSV of each of its groups, with the group's own times: "
+_MDF += "MDF('{}').export('csv', time_from_zero=False)"
+_TDMS = "a measurement of LabVIEW; nptdms makes a CSV of each of its groups, with their times: "
+_TDMS += "g = TdmsFile.read('{}')[GROUP]; d = g.as_dataframe(); d.insert(0, 'time', "
+_TDMS += "g.channels()[0].time_track(absolute_time=True)); d.to_csv('GROUP.csv', index=False)"
 _PYTHON = "of Python's objects, which run code when read; save arrays by numpy.savez, or a table "
 _PYTHON += "by to_csv"
 #: The kind of each ending, and its export; {} is the file's path.
