@@ -10,7 +10,9 @@ from cell.files.input_error import InputError
 OF_BAG, BAG_TABLES = "rosbag2_bagfile_information", frozenset(("topics", "messages"))
 _TO_MCAP = "`rosbags-convert --src {} --dst OUT --dst-storage mcap`, of pip's rosbags, makes an "
 _TO_MCAP += ".mcap in the folder OUT, which is read"
-_MDF = "a measurement in MDF; asammdf makes a CSV of each of its groups, with the group's own times: "
+_MDF = (
+    "a measurement in MDF; asammdf makes a CSV of each of its groups, with the group's own times: "
+)
 _MDF += "MDF('{}').export('csv', time_from_zero=False)"
 _TDMS = "a measurement of LabVIEW; nptdms makes a CSV of each of its groups, with their times: "
 _TDMS += "g = TdmsFile.read('{}')[GROUP]; d = g.as_dataframe(); d.insert(0, 'time', "

@@ -31,7 +31,7 @@ from cell.study.imports.documents import (
     is_xml,
     read_document,
 )
-from cell.study.imports.groups import Tree, split_part, with_part
+from cell.study.imports.groups import FilePart, Tree, split_part, with_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
 from cell.study.imports.other_kinds import EXPORTS, OF_BAG, bag_error
@@ -45,6 +45,7 @@ from cell.study.imports.repairs import (
 )
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
+from cell.study.imports.side_by_side import parts_of_text, read_block
 from cell.study.imports.text_content import is_text, text_of
 from cell.study.imports.transforms import holds_transforms, transform_notes, transforms_tree
 from cell.study.imports.units import METRES, unit_of
@@ -246,11 +247,13 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     """
     file, part = split_part(path)
     ending = file.suffix.lower()
-    if part:
+    if part and _is_table(file):
+        capture = read_block(file, part, form)
+    elif part:
         capture = _of_part(path, file)
     elif ending in _READERS and not (ending in WITH_SHEETS and not has_sheets(file)):
         capture = _READERS[ending](path)
-    elif is_xml(path) or form_in_text(path) or holds_transforms(path):
+    elif _is_document(path):
         capture = read_records(path)
     elif is_text_of_arrays(file):
         capture = read_container(path)
@@ -259,6 +262,26 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     else:
         capture = _of_unknown_kind(path, form)
     return _cleaned(capture)
+
+
+def _is_document(path: Path) -> bool:
+    """Whether a text is a document by its content, whatever its ending."""
+    return is_xml(path) or bool(form_in_text(path)) or holds_transforms(path)
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is a table of text."""
+    is_other = path.suffix.lower() in _READERS or _is_document(path) or is_text_of_arrays(path)
+    return not is_other and is_text(path)
+
+
+def parts_in_file(path: Path) -> list[FilePart]:
+    """Trials that are parts of a file of any kind; empty = the file is one, or a part itself.
+
+    raises  InputError: it cannot be read, or its groups are ambiguous
+    """
+    file, part = split_part(path)
+    return parts_of_text(file) if not part and _is_table(file) else parts_of(path)
 
 
 def _of_part(path: Path, file: Path) -> Capture:

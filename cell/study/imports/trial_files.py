@@ -9,11 +9,10 @@ from functools import cache
 from pathlib import Path
 
 from cell.study.imports.capture import Capture, ImportFindings
-from cell.study.imports.containers import parts_of
 from cell.study.imports.contents import contents, with_names
 from cell.study.imports.groups import with_part
 from cell.study.imports.joined_files import joined, motions, tells_only_turns
-from cell.study.imports.read import read_capture
+from cell.study.imports.read import parts_in_file, read_capture
 from cell.study.imports.row_trials import label_text, rows_of, trial_column, trial_labels
 from cell.study.imports.transforms import only_constant
 from cell.study.imports.trials import Files, unique_names
@@ -31,7 +30,7 @@ def read_trials(
     named   function that returns a file's name in the mapping
     raises  InputError: one cannot be read.  ValueError: hands and trials differ in number
     """
-    read, parts_in = cache(read_capture), cache(parts_of)
+    read, parts_in = cache(read_capture), cache(parts_in_file)
     files = [file for file in files if not only_constant(file)] or list(files)
     gripper_files = [hand for hand in hands if hand is not None]
     if not gripper_files or len(gripper_files) < len(files):
