@@ -134,7 +134,7 @@ def least_noisy(
     if len(named) < 2 or not cable:
         return list(named)
     size = float(np.ptp(at_rest([*named, *cable], raw), axis=0).max())
-    noise = {p.name: float(np.hypot(*_noise(raw[p.name])[:2])) for p in named}
+    noise = {p.name: _noise(raw[p.name]) for p in named}
     kept = list(named)
     for best, other in permutations(sorted(named, key=lambda p: noise[p.name]), 2):
         apart = _on_all_rows(raw[best.name]) - _on_all_rows(raw[other.name])
@@ -152,10 +152,10 @@ def least_noisy(
     return kept
 
 
-def _noise(places: FloatArray) -> list[float]:
-    """Noise of each coordinate in the rows that show a point; 0 = there are too few."""
+def _noise(places: FloatArray) -> float:
+    """Noise of positions (rows, d) in the rows that show a point; nan = there are too few."""
     shown = places[np.isfinite(places).all(axis=1)]
-    return np.nan_to_num([float(noise_m(values)) for values in shown.T]).tolist()
+    return float(np.linalg.norm([noise_m(values) for values in shown.T]))
 
 
 def _on_all_rows(places: FloatArray) -> FloatArray:

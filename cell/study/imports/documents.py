@@ -81,6 +81,15 @@ def is_yaml_data(path: Path) -> bool:
     return bool(_OF_OPENCV.match(text)) or not _OF_MAPPING.search(text)
 
 
+def form_of(path: Path) -> str:
+    """Form of a document by its ending, else by its beginning; lines of JSON may be called .json.
+
+    Empty = it is no document.
+    """
+    form = _FORMS.get(path.suffix.lower(), "")
+    return form if form not in ("", "json") else form_in_text(path) or form
+
+
 def form_in_text(path: Path) -> str:
     """Form of a document by its beginning: `lines`, `json`, `yaml`, `xml`; empty = it is none."""
     head = head_of(path).lstrip("\ufeff \r\n\t")
@@ -120,10 +129,7 @@ def _read(path: Path, changed_ns: int, size: int) -> StructuredDocument:
 
     changed_ns, size  of the file, which tell that it has changed
     """
-    text, form = read_text(path, MAX_BYTES), _FORMS.get(path.suffix.lower(), "")
-    by_text = form_in_text(path)
-    if form in ("", "json") and by_text:
-        form = by_text
+    text, form = read_text(path, MAX_BYTES), form_of(path)
     if form == "lines":
         document = _of_lines(path, text)
     elif form == "yaml":

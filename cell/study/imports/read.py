@@ -266,7 +266,7 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
 
 def _is_document(path: Path) -> bool:
     """Whether a text is a document by its content, whatever its ending."""
-    return is_xml(path) or bool(form_in_text(path)) or holds_transforms(path)
+    return is_xml(path) or bool(form_in_text(path))
 
 
 def _is_table(path: Path) -> bool:

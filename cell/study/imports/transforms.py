@@ -20,15 +20,15 @@ from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
 from cell.files.words import first_of
 from cell.study.imports.contents import HAND
-from cell.study.imports.documents import read_document
+from cell.study.imports.documents import form_of, read_document
 from cell.study.imports.groups import Tree
 from cell.study.imports.text_content import head_of
 
 #: Key of a transform's frame, and all keys of a transform.
 _CHILD = "child_frame_id"
 _KEYS = {_CHILD, "transform"}
-#: Word in the name of a file of constant transforms, and endings of such names.
-_STATIC, _ENDINGS = "static", (".yaml", ".yml", ".json", ".jsonl", ".ndjson", ".txt", ".log")
+#: Word in the name of a file of constant transforms.
+_STATIC = "static"
 #: Minimum share of common times of frames with one clock.
 _ONE_CLOCK = 0.5
 _MAX_DEPTH = 6
@@ -66,7 +66,7 @@ class _Edge:
 
 
 @dataclass(frozen=True, eq=False)
-class _Path:
+class _FramePath:
     """A frame's path in its root's frame; `body`: the innermost frame that moves it."""
 
     name: str
@@ -87,8 +87,8 @@ class _Path:
 
 
 def holds_transforms(path: Path) -> bool:
-    """Whether a text begins with transforms."""
-    return path.suffix.lower() in _ENDINGS and _CHILD in head_of(path)
+    """Whether a file is a document that begins with transforms."""
+    return _CHILD in head_of(path) and form_of(path) in ("lines", "json", "yaml")
 
 
 def only_constant(path: Path) -> bool:
@@ -201,9 +201,9 @@ def _bare(name: object) -> str:
     return str(name).strip("/")
 
 
-def _outermost(edges: Mapping[str, _Edge]) -> list[_Path]:
+def _outermost(edges: Mapping[str, _Edge]) -> list[_FramePath]:
     """Paths of the moving frames that are no other frame's parent."""
-    parents, paths = {edge.parent for edge in edges.values()}, list[_Path]()
+    parents, paths = {edge.parent for edge in edges.values()}, list[_FramePath]()
     for name in edges:
         chain = _chain(name, edges)
         moving = [frame for frame in chain if edges[frame].moves]
@@ -217,7 +217,7 @@ def _outermost(edges: Mapping[str, _Edge]) -> list[_Path]:
         known = np.flatnonzero(np.isfinite(place).all(axis=1))
         if known.size:
             root = edges[chain[-1]].parent
-            paths.append(_Path(name, moving[0], root, t_s[known], place[known], turn[known]))
+            paths.append(_FramePath(name, moving[0], root, t_s[known], place[known], turn[known]))
     return paths
 
 
@@ -229,9 +229,9 @@ def _chain(name: str, edges: Mapping[str, _Edge]) -> list[str]:
     return chain
 
 
-def _by_clock(paths: Sequence[_Path]) -> list[list[_Path]]:
+def _by_clock(paths: Sequence[_FramePath]) -> list[list[_FramePath]]:
     """Paths with common root and, mostly, common times."""
-    groups: list[list[_Path]] = []
+    groups: list[list[_FramePath]] = []
     for path in sorted(paths, key=lambda p: -len(p.t_s)):
         for group in groups:
             common = np.isin(path.t_s, group[0].t_s).mean()
@@ -244,7 +244,7 @@ def _by_clock(paths: Sequence[_Path]) -> list[list[_Path]]:
     return [sorted(group, key=lambda p: order[p.name]) for group in groups]
 
 
-def _source(paths: Sequence[_Path], taken: set[str]) -> str:
+def _source(paths: Sequence[_FramePath], taken: set[str]) -> str:
     """Name of a source: of the frame named after the gripper if all are on one body."""
     words = {p.name: re.findall("[a-z]+", p.name.lower()) for p in paths}
     named = [each for each in words.values() if HAND.intersection(each)] or list(words.values())

@@ -170,6 +170,14 @@ def test_chains_of_transforms_are_places_in_the_outermost_frame(name: str, tmp_p
     assert any("'optical'" in n and "tf_static" in n for n in trial.capture.notes)
 
 
+def test_a_table_that_names_frames_is_no_document(tmp_path: Path) -> None:
+    """As `rostopic echo -p /tf` writes it."""
+    rows = [f"{k},tool,{k}.5,2.5" for k in range(9)]
+    head = "%time,field.transforms0.child_frame_id,tip.x,tip.y"
+    read = read_capture(saved(tmp_path / "tf.txt", "\n".join([head, *rows])))
+    assert np.array_equal(read.column("tip.x"), 0.5 + np.arange(9))
+
+
 # --- streams of one file --------------------------------------------------------------------------
 
 
