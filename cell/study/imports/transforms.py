@@ -91,6 +91,13 @@ def holds_transforms(path: Path) -> bool:
     return _CHILD in head_of(path) and form_of(path) in ("lines", "json", "yaml")
 
 
+def has_chains(content: Any) -> bool:
+    """Whether a frame that has a parent is itself a parent, and a frame moves."""
+    edges = _edges(content)
+    moves = any(edge.moves for edge in edges.values())
+    return moves and any(edge.parent in edges for edge in edges.values())
+
+
 def only_constant(path: Path) -> bool:
     """Whether a file has transforms of which each is there once, as /tf_static."""
     edges = _edges(read_document(path).whole) if holds_transforms(path) else {}
