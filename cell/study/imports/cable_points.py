@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -39,6 +39,9 @@ _SWINGS, _SIGNIFICANT, _FEWEST_LATE = 0.01, 5.0, 20
 #: their plane have at least this ratio; their distances change by less than this share of their
 #: size; the centre is in their middle within this share of their distances to it.
 _CLUMP_RATIO, _FLAT, _RIGID_TAG, _IN_MIDDLE, _FEWEST_CORNERS = 1.5, 0.3, 0.25, 0.2, 4
+#: Points are at one place if their distance is less than this share of the points' extent; one is
+#: noisier from this ratio on.
+_ONE_PLACE, _NOISIER = 0.01, 2.0
 #: The distance of neighbours on a cable changes by less than this share of their motion.
 _NEIGHBOURS = 0.5
 #: Tolerance of the free length.
@@ -119,6 +122,48 @@ def on_the_gripper(
         findings.guessed("markers", f"{sentence} the gripper; its motion does not tell")
     of_cable = [*swinging, *unsure]
     return [p for p in named if p not in of_cable], [*cable, *of_cable]
+
+
+def least_noisy(
+    named: Sequence[Point], cable: Sequence[Point], raw: Places, findings: ImportFindings
+) -> list[Point]:
+    """Points of the gripper; of those that show one place, only the one with clearly less noise.
+
+    As a robot's tool point and a camera's dot on the clamp, in the same frame.
+    """
+    if len(named) < 2 or not cable:
+        return list(named)
+    size = float(np.ptp(at_rest([*named, *cable], raw), axis=0).max())
+    noise = {p.name: _noise(raw[p.name]) for p in named}
+    kept = list(named)
+    for best, other in permutations(sorted(named, key=lambda p: noise[p.name]), 2):
+        apart = _on_all_rows(raw[best.name]) - _on_all_rows(raw[other.name])
+        offset = float(np.linalg.norm(middle(apart)))
+        within = max(_ONE_PLACE * size, OF_NOISE * noise[other.name])
+        one_place = offset < _ONE_PLACE * size and reach_of(apart, _CUT) < within
+        if best in kept and other in kept and one_place and (
+            noise[other.name] > _NOISIER * noise[best.name]
+        ):  # fmt: skip
+            kept.remove(other)
+            sentence = f"{best.name!r} and {other.name!r} show one place, with noise of "
+            sentence += f"{noise[best.name]:.2g} and {noise[other.name]:.2g} {best.unit}: the first"
+            sentence += f" is taken; for the other write hand.columns: [{', '.join(other.columns)}]"
+            findings.guessed("hand", sentence)
+    return kept
+
+
+def _noise(places: FloatArray) -> float:
+    """Noise of positions (rows, d) in the rows that show a point; nan = there are too few."""
+    shown = places[np.isfinite(places).all(axis=1)]
+    return float(np.linalg.norm([noise_m(values) for values in shown.T]))
+
+
+def _on_all_rows(places: FloatArray) -> FloatArray:
+    """Positions (rows, d), interpolated in the rows that do not show the point."""
+    rows, shown = np.arange(len(places)), np.isfinite(places).all(axis=1)
+    if not shown.any():
+        return places
+    return np.column_stack([np.interp(rows, rows[shown], v[shown]) for v in places.T])
 
 
 def _is_weak(point: Point) -> bool:

@@ -15,6 +15,7 @@ from cell.study.imports.cable_points import (
     distance_range,
     from_end,
     labeled,
+    least_noisy,
     moving,
     of_one_cable,
     on_the_gripper,
@@ -96,6 +97,8 @@ def choose(
         clamp, _ = _gripper_points(named, cable, raw, inside)
         clamp = clamp if clamp and reach_of(raw[clamp.name]) > MOVES * most else None
     if not hand_elsewhere:
+        if not _with_angle(named, inside):
+            named = least_noisy(named, cable, raw, findings)
         hand, second = _gripper_points([*named, *body], cable, raw, inside)
         if hand is not None:
             findings.guessed("hand", f"{hand.name!r} is the gripping point, by its name")
@@ -271,8 +274,7 @@ def _gripper_points(
     """The gripper's point nearest to the cable, and a second one if no angle is measured."""
     if not named:
         return None, None
-    groups = {group for group, _ in inside.quaternions} | {m.group for _, m in inside.angles}
-    with_angle = [p for p in named if p.name in groups]
+    with_angle = _with_angle(named, inside)
 
     def distance(p: Point) -> float:
         distances = middle(
@@ -283,6 +285,12 @@ def _gripper_points(
     hand = min(with_angle or named, key=distance)
     others = [p for p in named if p is not hand]
     return hand, others[0] if others and not with_angle else None
+
+
+def _with_angle(named: Sequence[Point], inside: Contents) -> list[Point]:
+    """The points whose body has an angle or a quaternion."""
+    groups = {group for group, _ in inside.quaternions} | {m.group for _, m in inside.angles}
+    return [p for p in named if p.name in groups]
 
 
 #: Distances within a rigid body change by less than this share of the complete length.

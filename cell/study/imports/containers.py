@@ -25,17 +25,25 @@ from cell.study.imports.groups import (
     Tree,
     Units,
     apart_by_length,
+    by_trials,
     group_of,
     labels,
     of_points,
     split_part,
     time_groups,
     trials_in,
+    with_trials_first,
     within,
 )
-from cell.study.imports.line_protocol import is_line_protocol, line_protocol_tree
+from cell.study.imports.line_protocol import is_of_messages, messages_tree
 from cell.study.imports.long_tables import pivoted
-from cell.study.imports.octave_text import is_octave_text, octave_variables
+from cell.study.imports.named_series import (
+    igor_tree,
+    is_igor_text,
+    is_octave_text,
+    octave_variables,
+    tdms_tree,
+)
 from cell.study.imports.sheets import (
     WITH_SHEETS,
     cell_text,
@@ -45,9 +53,7 @@ from cell.study.imports.sheets import (
 )
 from cell.study.imports.stated import facts_of
 from cell.study.imports.streams import streams_tree
-from cell.study.imports.trial_dimension import by_trials, with_trials_first
 from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit, unit_of
-from cell.study.imports.waveforms import igor_tree, is_igor_text, tdms_tree
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
@@ -80,12 +86,12 @@ def _tree(path: Path) -> tuple[Tree, Units]:
         return flat(octave_variables(path)), {}
     if is_igor_text(path):
         return igor_tree(path)
-    return by_trials(*_TREES.get(path.suffix.lower(), line_protocol_tree)(path))
+    return by_trials(*_TREES.get(path.suffix.lower(), messages_tree)(path))
 
 
 def is_text_of_arrays(path: Path) -> bool:
     """Whether a text holds named series: of Octave, of Igor, or of a line protocol."""
-    return is_octave_text(path) or is_igor_text(path) or is_line_protocol(path)
+    return is_octave_text(path) or is_igor_text(path) or is_of_messages(path)
 
 
 def parts_of(path: Path) -> list[FilePart]:

@@ -26,7 +26,6 @@ from cell.study.imports.capture import (
 )
 from cell.study.imports.channels import by_channels
 from cell.study.imports.contents import contents
-from cell.study.imports.days import over_midnight, with_dates, with_fine_times
 from cell.study.imports.header import Header, read_header, repeated, with_legend, without_properties
 from cell.study.imports.long_tables import (
     joined,
@@ -39,15 +38,18 @@ from cell.study.imports.long_tables import (
     trials_of_blocks,
 )
 from cell.study.imports.remarks import stated_time, without_units
+from cell.study.imports.repairs import over_midnight, with_dates, with_fine_times
 from cell.study.imports.text_content import text_of
-from cell.study.imports.text_form import SAMPLE, check_form, text_form
 from cell.study.imports.text_rows import (
+    SAMPLE,
     Row,
     bare,
+    check_form,
     goes_on,
     is_like,
     labelled_rows,
     split_lines,
+    text_form,
     title_of,
     upright,
     without_comments,
@@ -78,27 +80,32 @@ def read_delimited(path: Path, form: TextForm | None = None) -> Capture:
     raises  InputError: it holds no table of numbers, or a line is wrong, with line and remedy
     """
     text, notes = _text(path)
+    capture = read_text(path, text, form)
+    return replace(capture, notes=(*notes, *capture.notes))
+
+
+def read_text(path: Path, text: str, form: TextForm | None) -> Capture:
+    """Read the table of a text.  Raises InputError, as `read_delimited`."""
     if text.count("\n") > MAX_ROWS + _MAX_HEADER:
         message = f"has {text.count(chr(10))} lines, limit {MAX_ROWS}; cut it to the motion"
         raise InputError.at(path, message, line=MAX_ROWS)
     if form is None and (capture := by_channels(path, text.splitlines())) is not None:
-        return replace(capture, notes=(*notes, *capture.notes))
+        return capture
     names, rows, row_notes = labelled_rows(path, text)
     if form is None and names:
         header = Header(tuple(CapturedColumn(name) for name in names), None, "")
-        return pivoted(*captured(path, header, rows, ".")).noted(*notes, *row_notes)
+        return pivoted(*captured(path, header, rows, ".")).noted(*row_notes)
     raw = with_single_cells(text.splitlines())
     text = "\n".join(raw)
     if form is not None:
         check_form(path, text, form)
     form = form or text_form(text)
     lines = with_legend(without_properties(raw, form.separator), form.separator)
-    capture = _long_table(path, lines, form)
-    if capture is None:
-        rows, row_notes = upright(path, split_lines(path, lines, form.separator), form.decimal)
-        notes += row_notes
-        capture = _main_table(path, _tables(rows, form), form)
-    return replace(capture, notes=(*notes, *capture.notes))
+    if (capture := _long_table(path, lines, form)) is not None:
+        return capture
+    rows, row_notes = upright(path, split_lines(path, lines, form.separator), form.decimal)
+    capture = _main_table(path, _tables(rows, form), form)
+    return replace(capture, notes=(*row_notes, *capture.notes))
 
 
 def read_frames(

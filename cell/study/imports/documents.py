@@ -1,4 +1,4 @@
-"""Structured documents: JSON, JSON lines, XML, and the YAML of OpenCV, as records of numbers."""
+"""Structured documents as records of numbers: JSON, JSON lines, XML, YAML of OpenCV and ROS."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,6 +17,7 @@ from cell.cable.arrays import FloatArray
 from cell.files.input_error import InputError
 from cell.files.text_file import read_text
 from cell.study.imports.capture import CapturedColumn, number
+from cell.study.imports.text_content import head_of
 from cell.study.imports.units import split_unit
 from cell.study.table import MAX_BYTES, MAX_ROWS
 
@@ -33,6 +35,18 @@ _DECLARATION = re.compile(r"<\?.*?\?>", re.DOTALL)
 #: Entries of a mapping of this program.
 _OF_MAPPING = re.compile(r"^(format|trials) *:", re.MULTILINE)
 
+#: A message in a line: perhaps its topic, and JSON; the least share of such lines in a
+#: text; and a topic with another payload.
+_MESSAGE = re.compile(r"(?:(?P<topic>[^\s{}\[\]\",;]+)\s+)?(?P<content>\{.*\})")
+_MOST_LINES = 0.5
+_OTHER_PAYLOAD = re.compile(r"[^\s{}\[\]\",;]+\s+[^{]*")
+#: First line and entry of each document of a YAML text after the first; an entry of a transform.
+_NEXT_YAML = re.compile(r"^---[ \t]*\n[A-Za-z_]\w*:\s", re.MULTILINE)
+_YAML_FRAME = re.compile(r"^[ -]*child_frame_id:\s", re.MULTILINE)
+#: Form of a document by the ending of its name.
+_FORMS = {".jsonl": "lines", ".ndjson": "lines", ".json": "json", ".yml": "yaml", ".yaml": "yaml",
+          ".xml": "xml"}  # fmt: skip
+
 Cell = tuple[CapturedColumn, float | str]
 
 
@@ -42,11 +56,18 @@ class StructuredDocument:
 
     records  each with the number of its line, or of the record; they are all alike, or of streams
     counted  what the numbers count: `line` or `record`
+    note     on a line that is not read; empty = there is none
     """
 
     content: Any
     records: list[tuple[int, Any]]
     counted: str
+    note: str = ""
+
+    @property
+    def whole(self) -> Any:
+        """The content, or a list of all records where each line is one."""
+        return self.content or [record for _, record in self.records]
 
 
 def is_xml(path: Path) -> bool:
@@ -60,22 +81,83 @@ def is_yaml_data(path: Path) -> bool:
     return bool(_OF_OPENCV.match(text)) or not _OF_MAPPING.search(text)
 
 
+def form_of(path: Path) -> str:
+    """Form of a document by its ending, else by its beginning; lines of JSON may be called .json.
+
+    Empty = it is no document.
+    """
+    form = _FORMS.get(path.suffix.lower(), "")
+    return form if form not in ("", "json") else form_in_text(path) or form
+
+
+def form_in_text(path: Path) -> str:
+    """Form of a document by its beginning: `lines`, `json`, `yaml`, `xml`; empty = it is none."""
+    head = head_of(path).lstrip("\ufeff \r\n\t")
+    complete, _, _ = head.rpartition("\n")
+    lines = [line for line in complete.splitlines() if line.strip()]
+    messages = sum(_message(line) is not None for line in lines)
+    if messages >= max(FEWEST_RECORDS, _MOST_LINES * len(lines)):
+        return "lines"
+    if head[:1] == "<":
+        return "xml"
+    if re.match(r"\{\s*\"|\[\s*\{", head):
+        return "json"
+    is_yaml = len(_NEXT_YAML.findall(head)) >= FEWEST_RECORDS or _YAML_FRAME.search(head)
+    return "yaml" if is_yaml else ""
+
+
+def _message(line: str) -> Any:
+    """The content of a line, with its topic if it has one; None = the line is no message."""
+    if (match := _MESSAGE.fullmatch(line.strip())) is None:
+        return None
+    try:
+        content = json.loads(match["content"])
+    except (ValueError, RecursionError):
+        return None
+    return content if match["topic"] is None else {"topic": match["topic"], "payload": content}
+
+
 def read_document(path: Path) -> StructuredDocument:
     """The records of a document.  Raises InputError: it is damaged, or has too many."""
-    text, ending = read_text(path, MAX_BYTES), path.suffix.lower()
-    if ending in (".jsonl", ".ndjson"):
-        lines = ((i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip())
-        records = [(i, _parse_json(path, line, i)) for i, line in lines]
-        document = StructuredDocument(None, records, "line")
-    elif ending in (".yml", ".yaml"):
+    state = path.stat() if path.is_file() else None
+    return _read(path, *((state.st_mtime_ns, state.st_size) if state else (0, 0)))
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, changed_ns: int, size: int) -> StructuredDocument:
+    """The records of a document as it is now: each trial of a file, and its gripper, asks for it.
+
+    changed_ns, size  of the file, which tell that it has changed
+    """
+    text, form = read_text(path, MAX_BYTES), form_of(path)
+    if form == "lines":
+        document = _of_lines(path, text)
+    elif form == "yaml":
         document = _document(_parse_yaml(path, text))
-    elif ending == ".json":
+    elif form == "json":
         document = _document(_upright(_parse_json(path, text, None)))
     else:
         document = _parse_xml(path, text)
     if len(document.records) > MAX_ROWS:
         raise InputError.at(path, f"has {len(document.records)} records, limit {MAX_ROWS}; cut it")
     return document
+
+
+def _of_lines(path: Path, text: str) -> StructuredDocument:
+    """A record per line; none of a topic with another payload.
+
+    raises  InputError: a line is neither, except the last one, which may be torn
+    """
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    records, note = list[tuple[int, Any]](), ""
+    for i, line in lines:
+        if (record := _message(line)) is not None:
+            records.append((i, record))
+        elif i == lines[-1][0] and len(records) >= FEWEST_RECORDS:
+            note = f"{path}:{i}: the last line is torn; it is not read"
+        elif _OTHER_PAYLOAD.fullmatch(line) is None:
+            records.append((i, _parse_json(path, line, i)))
+    return StructuredDocument(None, records, "line", note)
 
 
 def _upright(content: Any) -> Any:

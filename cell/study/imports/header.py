@@ -12,8 +12,7 @@ from cell.files.input_error import InputError
 from cell.study.imports.capture import CapturedColumn, is_number, number
 from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.remarks import stated_in_remarks, stated_pixel_m, stated_time
-from cell.study.imports.text_form import DECIMALS
-from cell.study.imports.text_rows import REMARKS, split_line
+from cell.study.imports.text_rows import DECIMALS, REMARKS, split_line
 from cell.study.imports.units import METRES, unit_of
 
 Lines = Sequence[tuple[int, tuple[str, ...]]]

@@ -1,6 +1,7 @@
-"""Line protocol of measurements: `cable,marker=m1,run=a x_mm=1.0,y_mm=2.0 1719403200437000000`.
+"""Texts of messages, whatever their ending: InfluxDB's lines, JSON with topics, transforms.
 
-source  InfluxDB, "Line protocol": measurement, tags, fields, and a time in nanoseconds
+source  InfluxDB, "Line protocol": measurement, tags, fields, and a time in nanoseconds, as in
+        `cable,marker=m1,run=a x_mm=1.0,y_mm=2.0 1719403200437000000`
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from cell.study.imports.capture import number
+from cell.study.imports.documents import form_in_text
 from cell.study.imports.groups import Tree
+from cell.study.imports.streams import streams_tree
 from cell.study.imports.text_content import head_of, text_of
+from cell.study.imports.transforms import holds_transforms
 
 _PART = r"(?:\\.|[^,=\s\\])+"
 _VALUE = r"(?:\"(?:\\.|[^\"\\])*\"|[^,\s\"]+)"
@@ -35,21 +39,27 @@ class _Record:
     time_ns: int
 
 
-def is_line_protocol(path: Path) -> bool:
-    """Whether a file holds lines of the protocol."""
+def is_of_messages(path: Path) -> bool:
+    """Whether a file holds messages: lines of InfluxDB's protocol, JSON, or transforms."""
+    return _is_of_influx(path) or form_in_text(path) in ("lines", "json") or holds_transforms(path)
+
+
+def _is_of_influx(path: Path) -> bool:
     lines = [s for s in head_of(path).splitlines()[:_HEAD_LINES] if s and s[0] != "#"]
     count = sum(_LINE.fullmatch(line.strip()) is not None for line in lines)
     return count > 2 and count >= _MIN_FRACTION * len(lines)
 
 
-def line_protocol_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
-    """Series by run, measurement, and point with field; times in ns.
+def messages_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
+    """Series by run, measurement, and point with field, times in ns; or by topic and clock.
 
     A tag identifies runs if the time spans of its values do not overlap.  Other tags with several
     values name points.
 
     raises  InputError: the file cannot be read
     """
+    if not _is_of_influx(path):
+        return streams_tree(path)
     records = list(_records(text_of(path)[0]))
     spans = _spans(records)
     run_tags = [tag for tag, values in spans.items() if _consecutive(values)]

@@ -16,6 +16,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, CapturedColumn
+from cell.study.imports.transforms import has_chains, transforms_tree
 from cell.study.table import MAX_ROWS
 from drivers.installing import install_extra
 
@@ -42,7 +43,10 @@ def read_mcap(path: Path) -> Capture:
     """
     rows: dict[float, dict[str, float]] = {}
     undecoded, notes, names = set[str](), list[str](), dict[str, None]()
+    transforms: dict[str, list[Any]] = {}
     for topic, log_s, content in _messages(path, undecoded, notes):
+        if sent := _transforms(content):
+            transforms.setdefault(topic, []).extend(sent)
         for t_s, name, value in _numbers(content, 0, log_s):
             rows.setdefault(t_s, {})[f"{topic} {name}"] = value
             names[f"{topic} {name}"] = None
@@ -52,6 +56,8 @@ def read_mcap(path: Path) -> Capture:
                 f"has more than {MAX_ROWS} times or {_MAX_COLUMNS} numbers; keep the topics with "
                 "markers and gripper, and cut it to the motion",
             )
+    if has_chains(list(transforms.values())):
+        rows, names = _with_chains(path, rows, transforms)
     if not rows:
         reason = f": {', '.join(sorted(undecoded))} cannot be decoded" if undecoded else ""
         remedy = f"{install_extra('import')} decodes ROS 2 and protobuf"
@@ -64,6 +70,38 @@ def read_mcap(path: Path) -> Capture:
         path, columns, np.array(values), np.arange(1, len(times) + 1), notes=tuple(notes),
         counted="time",
     )  # fmt: skip
+
+
+def _with_chains(
+    path: Path, rows: dict[float, dict[str, float]], transforms: dict[str, list[Any]]
+) -> tuple[dict[float, dict[str, float]], dict[str, None]]:
+    """Rows and their names with paths of the outermost frames in place of the transforms."""
+    tree, _ = transforms_tree(path, list(transforms.values()))
+    of_topics = tuple(f"{topic} transforms " for topic in transforms)
+    result = {
+        t: {name: v for name, v in row.items() if not name.startswith(of_topics)}
+        for t, row in rows.items()
+    }
+    for (source, name), series in tree.items():
+        for t, value in zip(tree[source, "time"].tolist(), series.tolist(), strict=True):
+            if name != "time":
+                result.setdefault(t, {})[name] = value
+    result = {t: row for t, row in result.items() if row}
+    return result, dict.fromkeys(name for t in sorted(result) for name in result[t])
+
+
+def _transforms(content: Any) -> list[Any]:
+    """Transforms of a message of ROS, as plain data."""
+    if content is None or isinstance(content, bool | int | float | str | bytes | list | tuple):
+        return []
+    sent = _fields(content).get("transforms")
+    return [_plain(item) for item in sent] if isinstance(sent, list | tuple) else []
+
+
+def _plain(content: Any) -> Any:
+    if content is None or isinstance(content, int | float | str | bytes):
+        return content
+    return {name: _plain(item) for name, item in _fields(content).items()}
 
 
 def metadata_names(path: Path) -> frozenset[str]:

@@ -18,13 +18,22 @@ from cell.study.imports.containers import (
     capture_of,
     flat,
     is_text_of_arrays,
+    parts_of,
     read_container,
 )
 from cell.study.imports.delimited import read_delimited
-from cell.study.imports.documents import CORNERS, FEWEST_RECORDS, cells, is_xml, read_document
-from cell.study.imports.groups import split_part
+from cell.study.imports.documents import (
+    CORNERS,
+    FEWEST_RECORDS,
+    cells,
+    form_in_text,
+    is_xml,
+    read_document,
+)
+from cell.study.imports.groups import FilePart, Tree, Units, split_part, with_part
 from cell.study.imports.long_tables import one_row_per_time, pivoted
 from cell.study.imports.mcap_file import read_mcap
+from cell.study.imports.other_kinds import EXPORTS, OF_BAG, bag_error
 from cell.study.imports.repairs import (
     in_millimetres,
     with_displacements,
@@ -36,7 +45,9 @@ from cell.study.imports.repairs import (
 )
 from cell.study.imports.robot_poses import with_quaternions
 from cell.study.imports.sheets import WITH_SHEETS, has_sheets
+from cell.study.imports.side_by_side import parts_of_text, read_block
 from cell.study.imports.text_content import is_text, text_of
+from cell.study.imports.transforms import holds_transforms, transform_notes, transforms_tree
 from cell.study.imports.units import METRES, unit_of
 from drivers.installing import install_extra
 
@@ -48,12 +59,25 @@ def read_records(path: Path) -> Capture:
     """
     document = read_document(path)
     content, records = document.content, document.records
+    if isinstance(content, dict) and OF_BAG in content:
+        raise bag_error(path, "describes")
+    frames, units = transforms_tree(path, document.whole)
+    if frames:
+        return capture_of(path, *_single_source(frames, units)).noted(*transform_notes(path))
     arrays = flat(_without_nulls(content)) if isinstance(content, dict) else {}
     series = [v for v in arrays.values() if v.ndim > 0 and v.dtype.kind in "fiu"]
     longest = max((len(v) for v in series), default=0)
     if longest >= max(len(records), FEWEST_RECORDS):
         return capture_of(path, arrays, {})
-    return _table(path, records, document.counted)
+    table = _table(path, records, document.counted)
+    return table.noted(document.note) if document.note else table
+
+
+def _single_source(tree: Tree, units: Units) -> tuple[Tree, Units]:
+    """The series of a source without its name; those of several with it."""
+    if len({key[0] for key in tree}) > 1:
+        return tree, units
+    return {key[1:]: v for key, v in tree.items()}, {key[1:]: u for key, u in units.items()}
 
 
 def _without_nulls(content: Any) -> Any:
@@ -223,17 +247,51 @@ def read_capture(path: Path, form: TextForm | None = None) -> Capture:
     """
     file, part = split_part(path)
     ending = file.suffix.lower()
-    if part or (ending not in _READERS and is_text_of_arrays(file)):
-        capture = read_container(path)
+    if part and _is_table(file):
+        capture = read_block(file, part, form)
+    elif part:
+        capture = _of_part(path, file)
     elif ending in _READERS and not (ending in WITH_SHEETS and not has_sheets(file)):
         capture = _READERS[ending](path)
-    elif is_xml(path):
+    elif _is_document(path):
         capture = read_records(path)
+    elif is_text_of_arrays(file):
+        capture = read_container(path)
     elif ending in TABLES:
         capture = read_delimited(path, form)
     else:
         capture = _of_unknown_kind(path, form)
     return _cleaned(capture)
+
+
+def _is_document(path: Path) -> bool:
+    """Whether a text is a document by its content, whatever its ending."""
+    return is_xml(path) or bool(form_in_text(path))
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is a table of text."""
+    is_other = path.suffix.lower() in _READERS or _is_document(path) or is_text_of_arrays(path)
+    return not is_other and is_text(path)
+
+
+def parts_in_file(path: Path) -> list[FilePart]:
+    """Trials that are parts of a file of any kind; empty = the file is one, or a part itself.
+
+    raises  InputError: it cannot be read, or its groups are ambiguous
+    """
+    file, part = split_part(path)
+    return parts_of_text(file) if not part and _is_table(file) else parts_of(path)
+
+
+def _of_part(path: Path, file: Path) -> Capture:
+    """A part of a file; the last trial's with the note on the document's last line."""
+    capture = read_container(path)
+    if holds_transforms(file) and path == with_part(file, parts_of(file)[0].markers):
+        capture = capture.noted(*transform_notes(file))
+    note = read_document(file).note if form_in_text(file) == "lines" else ""
+    is_last = bool(note) and path == with_part(file, parts_of(file)[-1].markers)
+    return capture.noted(note) if is_last else capture
 
 
 def read_frames(paths: Sequence[Path], numbers: Sequence[int], form: TextForm | None) -> Capture:
@@ -262,6 +320,10 @@ def _cleaned(capture: Capture) -> Capture:
 def _of_unknown_kind(path: Path, form: TextForm | None) -> Capture:
     """A text table with an unknown ending.  Raises InputError: it is none."""
     ending = path.suffix.lower() or "no ending"
+    if not path.exists():
+        raise InputError.at(path, "cannot be read: there is no such file; check the name")
+    if ending in EXPORTS and not is_text(path):
+        raise InputError.at(path, f"is not read: it is {EXPORTS[ending].format(path)}")
     if not is_text(path):
         message = f"{ending} is no kind of file that is read; give "
         message += f"{', '.join(KINDS)}, or a video with --config and --hand"

@@ -11,20 +11,28 @@ from pathlib import Path
 
 from cell.files.input_error import InputError
 from cell.study.imports.capture import Capture, is_clock, is_number, number
-from cell.study.imports.contents import Contents, contents
+from cell.study.imports.contents import contents
 from cell.study.imports.delimited import captured
 from cell.study.imports.groups import FilePart, with_part
 from cell.study.imports.header import read_header
 from cell.study.imports.long_tables import joined, pivoted, same_frames, time_column
+from cell.study.imports.other_kinds import BAG_TABLES, bag_error
+from cell.study.imports.side_by_side import (
+    CELL,
+    blocks,
+    cable_and_gripper,
+    column_letters,
+    have_own_times,
+    of_block,
+)
 from cell.study.imports.text_content import is_text
-from cell.study.imports.text_form import DECIMALS
-from cell.study.imports.text_rows import Row, without_summary
+from cell.study.imports.text_rows import DECIMALS, Row, without_summary
 from cell.study.imports.units import METRES, split_unit
 
 #: Maximum number of rows above a sheet's table.
 _MAX_HEADER = 200
 #: Endings of names of databases, and of all files with sheets.
-_DATABASES = (".db", ".sqlite", ".sqlite3")
+_DATABASES = (".db", ".db3", ".sqlite", ".sqlite3")
 WITH_SHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods", *_DATABASES)
 
 
@@ -62,12 +70,14 @@ def _sheets(path: Path) -> dict[str, Capture]:
     for title, page in pages(path):
         rows = [Row(i, tuple(cells)) for i, cells in enumerate(_texts(list(page)), 1)]
         of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
+        rows = [row for row in rows if not row.blank]
         try:
-            capture = _table_of(path, [row for row in rows if not row.blank])
+            if beside := _tables_beside(path, title, rows):
+                tables |= beside
+            elif (capture := _table_of(path, rows)) is not None:
+                tables[title] = capture
         except InputError as error:
             problems.append(error)
-            continue
-        tables |= {} if capture is None else {title: capture}
     if problems and not tables:
         raise problems[0]
     if not tables:
@@ -75,6 +85,19 @@ def _sheets(path: Path) -> dict[str, Capture]:
         raise InputError.at(path, message)
     joint = _with_axes_joined(tables)
     return {title: replace(table, of_cable=of_cable) for title, table in joint.items()}
+
+
+def _tables_beside(path: Path, title: str, rows: Sequence[Row]) -> dict[str, Capture]:
+    """Tables of a sheet side by side, each with times of its own; empty = they are one."""
+    tables: dict[str, Capture] = {}
+    for block in blocks(rows):
+        try:
+            capture = _table_of(path, of_block(rows, block))
+        except InputError:
+            return {}
+        if capture is not None:
+            tables[f"{title}{CELL}{column_letters(block[0])}"] = capture
+    return tables if have_own_times(list(tables.values())) else {}
 
 
 def _with_axes_joined(tables: Mapping[str, Capture]) -> Mapping[str, Capture]:
@@ -127,10 +150,16 @@ def _pages_of_workbook(path: Path) -> Iterator[tuple[str, Iterable[Sequence[obje
 
 
 def _tables_of_database(path: Path) -> Iterator[tuple[str, Iterable[Sequence[object]]]]:
-    """Name of each table of an SQLite database, and its rows below the names of its columns."""
+    """Name of each table of an SQLite database, and its rows below the names of its columns.
+
+    raises  InputError: it is a recording of rosbag2
+    """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
         names = database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
-        for (name,) in names.fetchall():
+        titles = [name for (name,) in names.fetchall()]
+        if set(titles) >= BAG_TABLES:
+            raise bag_error(path)
+        for name in titles:
             rows = database.execute('SELECT * FROM "{}"'.format(name.replace('"', '""')))
             yield name, [[c[0] for c in rows.description], *rows.fetchall()]
 
@@ -148,22 +177,22 @@ def _stated_length(rows: Sequence[Row]) -> tuple[tuple[str, float], ...]:
 
 def trials_in_sheets(path: Path) -> list[FilePart]:
     """Sheets with points, if all have the same columns and there are several; or one with the
-    cable's points, and one with its gripper alone; else empty.
+    cable's points, and one with its gripper alone; or sheets that have both side by side; else
+    empty.
     """
     sheets = _sheets(path)
+    pages: dict[str, dict[str, Capture]] = {}
+    for title, table in sheets.items():
+        pages.setdefault(title.rpartition(CELL)[0], {})[title] = table
+    pairs = {page: cable_and_gripper(tables) for page, tables in pages.items() if page}
+    if pairs and all(pairs.values()):
+        return [FilePart(page if len(pairs) > 1 else "", *p) for page, p in pairs.items() if p]
     tables = {title: t for title, t in sheets.items() if contents(t).points}
     if len({t.names for t in tables.values()}) == 1 and len(tables) > 1:
         return [FilePart(title, title) for title in tables]
-    cable, inside = _with_most_points(sheets), {title: contents(t) for title, t in sheets.items()}
-    hands = [title for title, each in inside.items() if title != cable and _is_of_gripper(each)]
-    known = _is_of_gripper(inside[cable]) or any(p.on_gripper for p in inside[cable].points)
-    return [FilePart("", cable, hands[0])] if len(hands) == 1 and not known else []
-
-
-def _is_of_gripper(inside: Contents) -> bool:
-    """Whether a table shows nothing else than a gripper can: one point, or its sensor."""
-    timed = inside.time is not None
-    return timed and (len(inside.points) == 1 or (not inside.points and inside.has_gripper_sensor))
+    pair = cable_and_gripper(sheets)
+    named = pair is not None and any(p.on_gripper for p in contents(sheets[pair[0]]).points)
+    return [FilePart("", *pair)] if pair and not named else []
 
 
 def _table_of(path: Path, rows: Sequence[Row]) -> Capture | None:

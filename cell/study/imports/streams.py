@@ -1,4 +1,4 @@
-"""Separates records of several sources in one document: topics, nested clocks, and trials."""
+"""Separates records of several sources in one document: topics, clocks, frames, and trials."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import HAND
 from cell.study.imports.documents import cells, read_document, record_lists
 from cell.study.imports.groups import Tree
+from cell.study.imports.transforms import transforms_tree
 from cell.study.imports.units import METRES, RADIANS, unit_of
 
 #: Maximum number of sources; each has positions or angles of its own.
@@ -23,7 +24,9 @@ _MAX_SOURCES = 20
 _MEASURED = (ColumnKind.COORDINATE, ColumnKind.ANGLE, ColumnKind.QUATERNION)
 #: Words of events that start and end a trial.
 _START_WORDS = frozenset(("start", "begin", "started", "begun"))
-_END_WORDS = frozenset(("stop", "end", "stopped", "ended", "finish", "finished"))
+_END_WORDS = frozenset(
+    ("stop", "end", "stopped", "ended", "finish", "finished", "done", "complete", "completed")
+)
 #: Name of the source of records, without their parts that have a clock of their own.
 _RECORDS = "records"
 
@@ -48,6 +51,8 @@ def streams_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
     """
     parts: dict[str, list[Row]] = {}
     document = read_document(path)
+    if (transforms := transforms_tree(path, document.whole)) != ({}, {}):
+        return transforms
     for name, records in record_lists(document.content).items():
         rows = [dict(cells(record)) for record in records]
         if _time(rows) is not None and any(_is_measured(c) for row in rows for c in row):
@@ -57,7 +62,7 @@ def streams_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
         for _, record in document.records:
             for source, part in _by_clock(record).items():
                 parts.setdefault(source, []).append(dict(cells(part)))
-    single = next(iter(parts.values()), []) if len(parts) < 2 else []
+    single = _with_times(next(iter(parts.values()), [])) if len(parts) < 2 else []
     parts = parts if len(parts) > 1 else _by_source(single)
     windows = [w for rows in parts.values() for w in _windows(rows)]
     if len(parts) < 2 or (single and not windows and _in_order(single)):
@@ -71,6 +76,26 @@ def streams_tree(path: Path) -> tuple[Tree, dict[tuple[str, ...], str]]:
                 tree[*key, column.name] = values
                 units[*key, column.name] = column.unit
     return tree, units
+
+
+def _with_times(rows: Sequence[Row]) -> list[Row]:
+    """Rows in the order of their reception; events without a time have that of a neighbour.
+
+    A trial ends at the latest time before its event, and begins with the next one after that.
+    """
+    result, time = list(rows), _time(rows)
+    if time is None:
+        return result
+    stamps = np.array([row.get(time, np.nan) for row in rows], dtype=np.float64)
+    latest = np.fmax.accumulate(stamps)
+    for i in np.flatnonzero(np.isnan(stamps)).tolist():
+        words = {v.lower() for v in rows[i].values() if isinstance(v, str)}
+        after = stamps[i:][np.isfinite(stamps[i:]) & ~(stamps[i:] <= latest[i])]
+        if words & _START_WORDS and len(after):
+            result[i] = rows[i] | {time: float(after[0])}
+        elif words & _END_WORDS and np.isfinite(latest[i]):
+            result[i] = rows[i] | {time: float(latest[i])}
+    return result
 
 
 def _by_clock(record: Any) -> dict[str, Any]:
@@ -101,8 +126,24 @@ def _by_source(rows: Sequence[Row]) -> dict[str, list[Row]]:
             continue
         columns = [{c for row in part for c in row if _is_measured(c)} for part in parts.values()]
         if sum(map(bool, columns)) > 1 and len(set().union(*columns)) == sum(map(len, columns)):
-            return {"_".join(re.findall(r"\w+", name)): part for name, part in parts.items()}
+            return dict(zip(_titles(list(parts)), parts.values(), strict=True))
     return {_RECORDS: list(rows)}
+
+
+def _titles(names: Sequence[str]) -> list[str]:
+    """Names of sources; a gripper's without words that no other one has, as `cobot` of its topic.
+
+    By the words in common a gripper belongs to the markers of its trial.
+    """
+    words = [re.findall(r"[^\W_]+", name) for name in names]
+    full = ["_".join(re.findall(r"\w+", name)) for name in names]
+    titles = list(full)
+    for i, own in enumerate(words):
+        others = {word for k, each in enumerate(words) if k != i for word in each}
+        kept = [word for word in own if word in others or word.lower() in HAND]
+        if HAND.intersection(word.lower() for word in own if word not in others):
+            titles[i] = titles[i] if kept == own else "_".join(kept)
+    return titles if len(set(titles)) == len(titles) else full
 
 
 @cache

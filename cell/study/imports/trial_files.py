@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 
 from cell.study.imports.capture import Capture, ImportFindings
-from cell.study.imports.containers import parts_of
 from cell.study.imports.contents import contents, with_names
 from cell.study.imports.groups import with_part
 from cell.study.imports.joined_files import joined, motions, tells_only_turns
-from cell.study.imports.read import read_capture
+from cell.study.imports.read import parts_in_file, read_capture
 from cell.study.imports.row_trials import label_text, rows_of, trial_column, trial_labels
+from cell.study.imports.transforms import only_constant
 from cell.study.imports.trials import Files, unique_names
 
 _Read = Callable[[Path], Capture]
@@ -30,13 +30,16 @@ def read_trials(
     named   function that returns a file's name in the mapping
     raises  InputError: one cannot be read.  ValueError: hands and trials differ in number
     """
-    read, parts_in = cache(read_capture), cache(parts_of)
+    read, parts_in = cache(read_capture), cache(parts_in_file)
+    files = [file for file in files if not only_constant(file)] or list(files)
     gripper_files = [hand for hand in hands if hand is not None]
     if not gripper_files or len(gripper_files) < len(files):
         single_parts = not any(parts_in(file) for file in files)
         if single_parts and (of_motions := _of_motions(files, gripper_files, read, named)):
             return of_motions
     if gripper_files and len(hands) != len(files):
+        for file in files:
+            parts_in(file) or read(file)  # of a kind that is not read, the number is unknown
         raise ValueError(
             f"--hand names {len(hands)} files for {len(files)} trials; give one for each, "
             "in their order"

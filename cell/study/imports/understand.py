@@ -394,8 +394,8 @@ def _add_unused(
 ) -> None:
     _add_unused_of_gripper(gripper, hand, findings)
     inside, capture = file
-    points = (*chosen.markers, chosen.gripper, chosen.second, chosen.clamp)
-    used = {n for p in points if p is not None for n in p.columns}
+    points = (*chosen.markers, chosen.gripper, chosen.clamp)
+    used = {n for p in points if p is not None for n in p.columns} | set(hand.angle.towards or ())
     used |= set(measured.columns if measured is not None else ())
     unused = [*(n for p in inside.points for n in p.columns), *inside.unused]
     unused = [n for n in unused if n not in used]

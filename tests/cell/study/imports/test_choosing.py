@@ -13,7 +13,7 @@ from cell.study.imports.choosing import choose
 from cell.study.imports.contents import contents
 from cell.study.imports.scales import arc_length_stds
 from cell.study.imports.shape import arc_lengths, middle, resting
-from tests.cell.study.imports.made import made
+from tests.cell.study.imports.made import CABLE, made, run, saved, text
 
 
 def a_file(places_mm: np.ndarray) -> Capture:
@@ -57,6 +57,28 @@ def test_an_origin_at_which_a_point_rests_or_that_it_passes_is_a_place() -> None
     swing = np.sin(np.linspace(0.0, 6.0 * np.pi, len(stays)))[:, None, None]
     for moved in (returns + 40.0 * np.round(swing, 1), stays[::-1], stays - stays[-1, 0]):
         assert lost(a_file(moved)) == ()
+
+
+@pytest.mark.parametrize("robot_first", [True, False])
+def test_of_two_points_at_one_place_of_the_gripper_the_less_noisy_is_taken(
+    robot_first: bool, tmp_path: Path
+) -> None:
+    """A robot's tool point and a camera's dot on the clamp: the dot was taken, the robot's columns
+    were not even listed as unused."""
+    m, rng = made(), np.random.default_rng(3)
+    columns = {"t_s": m.t_s, "b_deg": np.degrees(m.angle_rad)}
+    points = {"tcp": m.gripper_m + rng.normal(0.0, 1e-5, m.gripper_m.shape)}
+    points["clamp"] = m.gripper_m + rng.normal(0.0, 2e-4, m.gripper_m.shape)
+    points = points if robot_first else dict(reversed(points.items()))
+    points |= {f"m{i}": m.markers_m[:, i] for i in range(m.markers_m.shape[1])}
+    for name, at_m in points.items():
+        columns |= {f"{name}_{a}_mm": 1e3 * at_m[:, k] for k, a in enumerate("xz")}
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    file = saved(tmp_path / "run.csv", text([list(columns), *rows]))
+    said = run(file, "-o", tmp_path / "s", *CABLE)
+    assert "columns: [tcp_x_mm, tcp_z_mm]" in (tmp_path / "s" / "import.yaml").read_text()
+    assert "for the other write hand.columns: [clamp_x_mm, clamp_z_mm]" in said
+    assert "not used of run.csv: columns clamp_x_mm, clamp_z_mm" in said
 
 
 LENGTH_M, ROWS, SEEDS = 0.1, 70, 16

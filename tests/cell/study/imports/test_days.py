@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.study.imports.days import over_midnight
 from cell.study.imports.read import read_capture
+from cell.study.imports.repairs import over_midnight
 
 from .corpus.swing import MARKERS, Swing
 from .made import CABLE, check_same, filled, imported, made, run, saved, text

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from openpyxl import Workbook
+from scipy.spatial.transform import Rotation
 
 from cell.cli.imports import _is_mapping
 from cell.files.input_error import InputError
@@ -110,6 +112,72 @@ def test_a_mapping_is_told_by_its_entries(tmp_path: Path) -> None:
     assert not _is_mapping(saved(tmp_path / "trial.csv", "format: a\n"))
 
 
+# --- transforms of ROS ----------------------------------------------------------------------------
+
+
+def _transform(t_s: float, parent: str, child: str, pose: tuple[np.ndarray, Rotation]) -> list[str]:
+    second, turn = int(t_s), pose[1].as_quat()
+    return [
+        "- header:", "    stamp:", f"      sec: {second}",
+        f"      nanosec: {round((t_s - second) * 1e9)}", f"    frame_id: {parent}",
+        f"  child_frame_id: {child}", "  transform:", "    translation:",
+        *(f"      {a}: {v!r}" for a, v in zip("xyz", pose[0].tolist(), strict=True)),
+        "    rotation:", *(f"      {a}: {v!r}" for a, v in zip("xyzw", turn.tolist(), strict=True)),
+    ]  # fmt: skip
+
+
+def _echoes(m: Swing, folder: Path, name: str) -> tuple[Path, Path]:
+    """What `ros2 topic echo` prints of /tf and /tf_static: tags in the camera's frame, the gripper
+    a constant way behind the robot's last frame."""
+    camera = np.array([0.4, -0.6, 0.3]), Rotation.from_euler("xyz", [0.3, -1.2, 0.8])
+    tool = np.array([0.012, 0.0, 0.14]), Rotation.from_euler("y", 0.5)
+    documents, none = [], Rotation.identity()
+    for k, t in enumerate(m.t_s):
+        turn = Rotation.from_rotvec((np.pi + m.angle_rad[k]) * np.array([0.0, -1.0, 0.0]))
+        hand = np.array([m.gripper_m[k, 0], 0.1, m.gripper_m[k, 1]])
+        wrist = turn * tool[1].inv()
+        pose = hand - wrist.apply(tool[0]), wrist
+        documents.append([*_transform(_EPOCH_S + t + 0.001, "base", "wrist", pose)])
+        tags: list[str] = []
+        for i, (x, z) in enumerate(m.markers_m[k].tolist()):
+            seen = camera[1].inv().apply(np.array([x, 0.1, z]) - camera[0])
+            tags += _transform(_EPOCH_S + t, "optical", f"tag_{i}", (seen, none))
+        documents.append(tags)
+    echo = "---\n".join("\n".join(["transforms:", *lines, ""]) for lines in documents)
+    first = ["transforms:", *_transform(_EPOCH_S, "wrist", "clamp", tool), "---"]
+    static = [*first, "transforms:", *_transform(_EPOCH_S, "base", "optical", camera)]
+    constant = saved(folder / f"tf_static{Path(name).suffix}", "\n".join(static))
+    return saved(folder / name, echo), constant
+
+
+@pytest.mark.parametrize("name", ["tf_run.yaml", "tf_run.txt"])
+def test_chains_of_transforms_are_places_in_the_outermost_frame(name: str, tmp_path: Path) -> None:
+    m = made()
+    m = replace(m, t_s=m.t_s[:300:3], gripper_m=m.gripper_m[:300:3], angle_rad=m.angle_rad[:300:3],
+                markers_m=m.markers_m[:300:3])  # fmt: skip
+    echo, static = _echoes(m, tmp_path, name)
+    (trial,) = read_trials([echo, static], [], lambda path: path.name)
+    assert trial.gripper is not None and trial.gripper_file == f"{name}#clamp"
+    hand = trial.gripper.at(["clamp x", "clamp y", "clamp z"])
+    np.testing.assert_allclose(hand[:, ::2], m.gripper_m, atol=1e-7)
+    np.testing.assert_allclose(hand[:, 1], 0.1, atol=1e-7)
+    last = len(NAMES) - 1
+    tip = trial.capture.at([f"tag_{last} x", f"tag_{last} z"])
+    np.testing.assert_allclose(tip, m.markers_m[:, last], atol=1e-7)
+    assert any("of tf_static" in note for note in trial.capture.notes)
+    static.unlink()
+    (trial,) = _trials(echo)
+    assert any("'optical'" in n and "tf_static" in n for n in trial.capture.notes)
+
+
+def test_a_table_that_names_frames_is_no_document(tmp_path: Path) -> None:
+    """As `rostopic echo -p /tf` writes it."""
+    rows = [f"{k},tool,{k}.5,2.5" for k in range(9)]
+    head = "%time,field.transforms0.child_frame_id,tip.x,tip.y"
+    read = read_capture(saved(tmp_path / "tf.txt", "\n".join([head, *rows])))
+    assert np.array_equal(read.column("tip.x"), 0.5 + np.arange(9))
+
+
 # --- streams of one file --------------------------------------------------------------------------
 
 
@@ -144,6 +212,42 @@ def test_topics_are_streams_of_their_own_and_events_frame_trials(tmp_path: Path)
     assert np.flatnonzero(np.isnan(lost)).tolist() == [100]
     time, told = time_section(one.capture, contents(one.capture), None)
     assert time.seconds_per_unit == 1e-3 and "since 1970" in told.sentence
+
+
+def test_a_dump_of_topics_is_streams_whatever_its_ending(tmp_path: Path) -> None:
+    m, second = made(), made(seed=2)
+    lines = ["line7/plc online", "line7/temp 23.4"]
+    for count, swing in enumerate((m, second), 1):
+        begins_ms = _EPOCH_S * 1e3 + 9e3 * count
+        lines.append(f'line7/job {{"run": {count}, "state": "start"}}')  # it has no time
+        for message in _messages(swing, begins_ms, "")[2:]:
+            topic = {"lab/robot": "line7/arm/tcp", "lab/camera": "line7/cam"}[message["topic"]]
+            lines.append(f"{topic} {json.dumps(message['payload'])}")
+        lines.append(f'line7/job {{"run": {count}, "state": "done"}}')
+    file = saved(tmp_path / "dump.txt", "\n".join([*lines, 'line7/arm/tcp {"ts": 17156']))
+    one, two = _trials(file)
+    assert (one.name, two.name) == ("trial_1", "trial_2")
+    for trial in (one, two):
+        assert trial.gripper is not None and len(trial.gripper.values) == len(m.t_s)
+        assert len(trial.capture.values) == len(m.t_s)
+    torn = [t.name for t in (one, two) if any("line is torn" in n for n in t.capture.notes)]
+    assert torn == ["trial_2"]
+
+
+@pytest.mark.parametrize("name", ["echo.txt", "echo.log", "echo.json"])
+def test_json_lines_are_read_whatever_their_ending(name: str, tmp_path: Path) -> None:
+    lines = [json.dumps({"time": k / 100, "tip": [k, 2.0], "mode": "move"}) for k in range(9)]
+    read = read_capture(saved(tmp_path / name, "\n".join([*lines, lines[0][:9]])))
+    assert read.names == ("time", "tip x", "tip y") and len(read.values) == 9
+    assert any(":10: the last line is torn" in note for note in read.notes)
+    with pytest.raises(InputError, match=r":4: is no JSON"):
+        read_capture(saved(tmp_path / name, "\n".join([*lines[:3], lines[0][:9], *lines[3:]])))
+
+
+def test_a_json_document_is_read_whatever_its_ending(tmp_path: Path) -> None:
+    records = [{"time": k / 100, "tip": [k, 2.0]} for k in range(9)]
+    read = read_capture(saved(tmp_path / "a.log", json.dumps(records, indent=1)))
+    assert read.names == ("time", "tip x", "tip y") and len(read.values) == 9
 
 
 def test_a_nested_record_with_another_clock_is_a_stream(tmp_path: Path) -> None:

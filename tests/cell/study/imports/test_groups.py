@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,11 @@ import pytest
 from cell.files.input_error import InputError
 from cell.study.data import Study
 from cell.study.imports.read import read_capture
+from cell.study.imports.trial_files import read_trials
 
 from .corpus.others import line_protocol
 from .corpus.swing import LENGTH_M, Swing, known_study
-from .made import check_same, run
+from .made import check_same, run, saved
 from .test_corpus import study_from
 
 PLACE_M = 1e-6
@@ -283,3 +286,31 @@ def test_an_unknown_ending_of_no_table_asks_for_one(tmp_path: Path) -> None:
     bytes_.write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match="no kind of file"):
         read_capture(bytes_)
+
+
+@pytest.mark.parametrize(("ending", "export"), [
+    (".mf4", r"MDF\('.*run.mf4'\).export"), (".bag", "rosbags-convert --src .*run.bag"),
+    (".blf", "dbc"), (".pkl", "numpy.savez"), (".zip", "unpack"),
+])  # fmt: skip
+def test_a_known_kind_that_is_not_read_names_its_export(
+    ending: str, export: str, tmp_path: Path
+) -> None:
+    file, hand = tmp_path / f"run{ending}", tmp_path / "hand.csv"
+    file.write_bytes(b"\x00\x01\x02")
+    hand.write_text("t,x,y\n0,1,2\n1,2,3\n2,4,5\n")
+    with pytest.raises(InputError, match=export):
+        read_capture(file)
+    with pytest.raises(InputError, match=export):  # before their number is compared
+        read_trials([file], [hand, hand, hand], str)
+
+
+@pytest.mark.parametrize("name", ["bag_0.db3", "bag_0.sqlite3"])
+def test_a_rosbag2_is_told_by_its_tables_and_its_description(name: str, tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / name)) as database:
+        database.execute("CREATE TABLE topics(id INTEGER, name TEXT)")
+        database.execute("CREATE TABLE messages(id INTEGER, timestamp INTEGER, data BLOB)")
+        database.commit()
+    description = saved(tmp_path / "metadata.yaml", "rosbag2_bagfile_information:\n  version: 6\n")
+    for file in (tmp_path / name, description):
+        with pytest.raises(InputError, match=f"rosbags-convert --src {tmp_path} --dst OUT"):
+            read_trials([file], [], str)

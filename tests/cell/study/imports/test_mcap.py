@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,42 @@ def test_what_cannot_be_decoded_is_named(tmp_path: Path) -> None:
         writer.finish()
     with pytest.raises(InputError, match=r"topic /lidar \(cbor\) cannot be decoded"):
         read_mcap(file)
+
+
+def _stamped(t_s: float, parent: str, child: str, place: np.ndarray, turn: Rotation) -> object:
+    stamp = {"sec": int(t_s), "nanosec": round(t_s % 1.0 * 1e9)}
+    pose = {"translation": dict(zip("xyz", place.tolist(), strict=True)),
+            "rotation": dict(zip("xyzw", turn.as_quat().tolist(), strict=True))}  # fmt: skip
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child,
+            "transform": pose}  # fmt: skip
+
+
+def test_chains_of_transforms_are_places_in_the_outermost_frame(tmp_path: Path) -> None:
+    m, file = made(), tmp_path / "tf.mcap"
+    camera = np.array([0.4, -0.6, 0.3]), Rotation.from_euler("xyz", [0.3, -1.2, 0.8])
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("tf", "jsonschema", b"{}")
+        topics = {t: writer.register_channel(t, "json", schema) for t in ("/tf", "/tf_static")}
+
+        def send(topic: str, t_s: float, transforms: list[object]) -> None:
+            text = json.dumps({"transforms": transforms}).encode()
+            writer.add_message(topics[topic], round(t_s * 1e9), text, round(t_s * 1e9))
+
+        send("/tf_static", 1.0, [_stamped(1.0, "base", "optical", *camera)])
+        turns = Rotation.from_quat(_turns(m))
+        for k, t in enumerate(m.t_s):
+            hand = np.array([m.gripper_m[k, 0], 0.1, m.gripper_m[k, 1]])
+            send("/tf", 10.0 + t, [_stamped(10.0 + t, "base", "tool", hand, turns[k])])
+            seen = [camera[1].inv().apply([x, 0.1, z] - camera[0]) for x, z in m.markers_m[k]]
+            tags = [_stamped(10.0 + t, "optical", f"tag_{i}", place, Rotation.identity())
+                    for i, place in enumerate(seen)]  # fmt: skip
+            send("/tf", 10.0 + t, tags)
+        writer.finish()
+    read = read_mcap(file)
+    np.testing.assert_allclose(read.at(["tool x", "tool z"]), m.gripper_m, atol=1e-7)
+    np.testing.assert_allclose(read.at(["tag_4 x", "tag_4 z"]), m.markers_m[:, 4], atol=1e-7)
+    (trial,) = imported([str(file)], tmp_path / "s").trials
+    np.testing.assert_allclose(trial.markers.xy_m, m.markers_m[:, ::-1], atol=1e-6)
+    np.testing.assert_allclose(trial.grip.angle_rad, m.angle_rad, atol=1e-6)

@@ -11,6 +11,7 @@ import pytest
 from cell.study.imports.contents import contents
 from cell.study.imports.read import read_capture
 from cell.study.imports.trial_files import read_trials
+from cell.study.imports.trials import Files
 
 from .corpus.swing import MARKERS, Swing, known_study
 from .made import saved, text
@@ -98,3 +99,62 @@ def test_sheets_of_an_axis_each_are_one_table(tmp_path: Path, titles: tuple[str,
     inside = contents(capture)
     assert [len(p.columns) for p in inside.points] == [len(titles)] * len(points)
     assert [n for n, _ in inside.angles] == ["Greifer Angle"]
+
+
+def _beside(s: Swing) -> list[list[object]]:
+    """A robot's log, and to the right of an empty column what a camera saw, at other times."""
+    late_s = 0.003
+    hand = np.column_stack([s.t_s, 1e3 * s.gripper_m, np.degrees(s.angle_rad)]).round(7).tolist()
+    camera = np.column_stack([s.t_s + late_s, 1e3 * s.markers_m.reshape(len(s.t_s), -1)])
+    rows: list[list[object]] = [["Robot", "", "", "", "", "Camera"]]
+    rows.append(
+        ["Time", "X", "Y", "Angle", "", "Time", *(f"{m} {a}" for m in MARKERS for a in "xy")]
+    )
+    rows.append(["s", "mm", "mm", "deg", "", "s", *["mm"] * 10])
+    seen = camera.round(7).tolist()[:-5]  # fewer rows than the robot's
+    cells = [[*own, "", *(seen[k] if k < len(seen) else [""] * 11)] for k, own in enumerate(hand)]
+    rows += cells
+    return rows
+
+
+def _check_beside(trial: Files, s: Swing) -> None:
+    assert trial.gripper is not None
+    np.testing.assert_allclose(trial.gripper.column("Time"), s.t_s, atol=1e-7)
+    np.testing.assert_allclose(trial.gripper.at(["X", "Y"]), 1e3 * s.gripper_m, atol=1e-6)
+    assert trial.capture.names[0] == "Time" and len(trial.capture.names) == 11
+    np.testing.assert_allclose(trial.capture.column("Time"), s.t_s[:-5] + 0.003, atol=1e-7)
+
+
+def test_tables_side_by_side_on_sheets_are_the_cable_and_its_gripper(tmp_path: Path) -> None:
+    truth = known_study()
+    sheets = {f"Test {k}": _beside(s) for k, s in enumerate(truth, 1)} | {"Info": [["by", "J."]]}
+    _xlsx(tmp_path / "a.xlsx", sheets)
+    trials = read_trials([tmp_path / "a.xlsx"], [], lambda path: path.name)
+    assert [(t.name, t.file, t.gripper_file) for t in trials] == [
+        (f"Test_{k}", f"a.xlsx#Test {k}!F", f"a.xlsx#Test {k}!A") for k in (1, 2)
+    ]
+    for trial, s in zip(trials, truth, strict=True):
+        _check_beside(trial, s)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_tables_side_by_side_in_a_text_are_the_cable_and_its_gripper(
+    tmp_path: Path, separator: str
+) -> None:
+    s = known_study()[0]
+    file = saved(tmp_path / "a.csv", text(_beside(s), separator))
+    (trial,) = read_trials([file], [], lambda path: path.name)
+    assert (trial.file, trial.gripper_file) == ("a.csv#F", "a.csv#A")
+    _check_beside(trial, s)
+
+
+def test_an_empty_column_between_points_with_the_same_times_is_none_between_tables(
+    tmp_path: Path,
+) -> None:
+    s = known_study()[0]
+    rows: list[list[object]] = [["t", "tip x", "tip y", "", "t", "hand x", "hand y"]]
+    both = (np.column_stack([s.t_s, at_m]).round(9) for at_m in (s.markers_m[:, -1], s.gripper_m))
+    rows += [[*a, "", *b] for a, b in zip(*(v.tolist() for v in both), strict=True)]
+    _xlsx(tmp_path / "a.xlsx", {"Run": rows})
+    (trial,) = read_trials([tmp_path / "a.xlsx"], [], lambda path: path.name)
+    assert trial.gripper is None and {"tip x", "hand x"} <= set(trial.capture.names)

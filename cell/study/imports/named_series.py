@@ -1,8 +1,9 @@
-"""Series of steady rates, as tables with times: LabVIEW's .tdms, and Igor's texts of waves.
+"""Files of named series: LabVIEW's .tdms, Igor's texts of waves, Octave's texts of variables.
 
 source  NI, "TDMS File Format Internal Structure": wf_increment, wf_start_offset, wf_start_time and
         unit_string of a channel
 source  WaveMetrics, Igor Pro, "Igor Text File Format": WAVES, BEGIN, END, X and SetScale
+source  GNU Octave, libinterp/octave-value: `save_ascii` of each type
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -222,3 +224,52 @@ def _scaled(wave: Waveform, scale: re.Match[str]) -> Waveform:
     unit = "s" if scale["unit"] == _DATE else unit_of(scale["unit"])
     is_scaled = bool(unit) or (first, second) != (0.0, 1.0)
     return replace(wave, start=first, step=second, step_unit=unit) if is_scaled else wave
+
+
+_OCTAVE = re.compile(r"(?:#.*\n)*?# name: .*\n# type: ")
+_VARIABLE = re.compile(r"^# name: (.*)$", re.MULTILINE)
+_PROPERTY = re.compile(r"^# ([\w ]+): (.*)$", re.MULTILINE)
+
+
+def is_octave_text(path: Path) -> bool:
+    """Whether a file begins with the name and the type of a variable."""
+    return _OCTAVE.match(head_of(path)) is not None
+
+
+def octave_variables(path: Path) -> dict[str, Any]:
+    """Variables by name; a structure, or what a cell holds, is a dictionary.
+
+    raises  InputError: the file cannot be read.  ValueError: a variable has another number of
+            values than its size says
+    """
+    _, *parts = _VARIABLE.split(text_of(path)[0])
+    return dict(_variables(zip(parts[::2], parts[1::2], strict=True)))
+
+
+def _variables(parts: Iterator[tuple[str, str]]) -> Iterator[tuple[str, Any]]:
+    for name, text in parts:
+        stated = dict(_PROPERTY.findall(text))
+        if "struct" in stated["type"] or stated["type"] == "cell":
+            length = stated.get("length") or int(stated["rows"]) * int(stated["columns"])
+            yield name, dict(_variables(islice(parts, int(length))))
+            continue
+        try:
+            yield name, _value(stated, [v for v in text.splitlines() if v and v[0] != "#"])
+        except ValueError as error:
+            raise ValueError(f"{name!r}: {error}") from error
+
+
+def _value(stated: dict[str, str], lines: list[str]) -> Any:
+    kind = stated["type"]
+    if kind.endswith("string"):
+        return "\n".join(lines)
+    numbers = np.array([np.nan if v == "NA" else float(v) for v in " ".join(lines).split()])
+    if kind.endswith("range"):
+        base, limit, step = numbers[:3]
+        return base + step * np.arange(int(np.floor((limit - base) / step + 1e-9)) + 1)
+    if "ndims" in stated:  # column by column
+        count = int(stated["ndims"])
+        return numbers[count:].reshape(numbers[:count].astype(int), order="F")
+    if "rows" in stated:
+        return numbers.reshape(int(stated["rows"]), int(stated["columns"]))
+    return numbers.squeeze()
