@@ -160,10 +160,13 @@ def _import_film(options: ImportOptions) -> NoReturn:
 
 def _check_pictures(folder: Path) -> None:
     """Raises ValueError: a folder holds no pictures; the message names its tables."""
+    from cell.study.imports.other_kinds import BAG_METADATA, bag_error
     from cell.study.imports.read import KINDS
     from cell.wiring.filmed import holds_pictures
 
     if not holds_pictures(folder):
+        if (metadata := folder / BAG_METADATA).is_file():
+            raise bag_error(metadata, "describes")
         suffixes = [file.suffix for file in sorted(folder.iterdir())]
         tables = dict.fromkeys(s for s in suffixes if s.lower() in KINDS)
         files = " ".join(f"{folder}/*{suffix}" for suffix in tables)

@@ -73,7 +73,7 @@ def choose(
     points = _same_dimension(capture, inside, findings)
     lost = _missing_codes([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
-    _check_distinct(capture, points, raw)
+    points = _distinct(points, raw, findings)
     for value in lost:
         findings.shown("lost", f"{value:g} in all coordinates means that a marker was not seen")
     points = without_corners(points, raw, findings)
@@ -209,15 +209,26 @@ def _check_not_single(capture: Capture, cable: Sequence[Point], others: Sequence
     raise capture.error(0, f"{message}. Columns: {', '.join(capture.names[:12])}")
 
 
-def _check_distinct(capture: Capture, points: Sequence[Point], raw: dict[str, FloatArray]) -> None:
-    """Raise InputError if two points have equal positions in all rows: they are one marker."""
-    for i, k, both in identical(np.stack([raw[p.name] for p in points], axis=1)):
-        if not (points[i].on_gripper and points[k].on_gripper):  # a body and a marker at its origin
-            raise capture.error(
-                int(np.argmax(both)),
-                f"{points[i].name!r} and {points[k].name!r} have the same places in all "
-                f"{both.sum()} rows that show both: it is one marker; remove the columns of one",
-            )
+def _distinct(
+    points: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
+) -> list[Point]:
+    """Points without those that have the places of another in all rows that show both.
+
+    Of two the gripper's is kept, else the one that is shown in more rows; both of the gripper's
+    are, as a body and a marker at its origin.
+    """
+    names = set[str]()
+    for i, k, _ in identical(np.stack([raw[p.name] for p in points], axis=1)):
+        pair = points[i], points[k]
+        if all(p.on_gripper for p in pair) or names & {p.name for p in pair}:
+            continue
+        rows = [int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in pair]
+        is_second = pair[1].on_gripper or (rows[0] < rows[1] and not pair[0].on_gripper)
+        kept, spare = pair[::-1] if is_second else pair
+        names.add(spare.name)
+        sentence = f"{spare.name!r} has the places of {kept.name!r} in all rows that show both"
+        findings.shown("markers", f"{sentence}: it is left out")
+    return [p for p in points if p.name not in names]
 
 
 def detected_places(

@@ -26,6 +26,7 @@ from cell.study.imports.groups import (
     Units,
     apart_by_length,
     by_trials,
+    coordinates_in_rows,
     group_of,
     labels,
     of_points,
@@ -388,9 +389,11 @@ def _columns(
         if titles is not None and len(titles) == values.shape[1]:
             yield from ((_with_name(own, label), values[:, k]) for k, label in enumerate(titles))
             return
-        point = f"{titles[0]} {own}" if titles is not None and len(titles) == 1 else name
-        yield from _of_point(point, values)
-        return
+        if (coordinates := coordinates_in_rows(own, values)) is None:
+            point = f"{titles[0]} {own}" if titles is not None and len(titles) == 1 else name
+            yield from _of_point(point, values)
+            return
+        values = values.reshape(len(values), -1, coordinates)
     points = values.shape[1:]
     if _are_poses(values):  # column by column, as robots write them
         columns = values.transpose(0, 2, 1).reshape(len(values), -1)

@@ -58,9 +58,39 @@ def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str,
     names: dict[tuple[str, ...], set[str]] = {}
     for key in tree:
         names.setdefault(key[:-1], set()).add(key[-1])
-    of_points = dict.fromkeys(key[:-1] for key, values in tree.items() if values.ndim == 3)
+    of_points = dict.fromkeys(key[:-1] for key, values in tree.items() if _are_points(key, values))
     alike = [g for g in of_points if sum(names[g] == names[other] for other in of_points) > 1]
     return alike if len(alike) == len(of_points) else []
+
+
+#: Words of an array of points, whose coordinates may stand one after the other in a row.
+_OF_POINTS = re.compile(r".*(keypoint|point|marker|node|landmark|track|dot|position)s?.*", re.I)
+
+
+def coordinates_in_rows(name: str, values: NDArray[Any]) -> int | None:
+    """Number of coordinates, 2 or 3, of points that stand one after the other in a row.
+
+    It is that under which neighbours keep their distances best.
+
+    values   (rows, points · coordinates)
+    returns  None = the array is not named after points, or has one
+    """
+    width, changes = values.shape[1], dict[int, float]()
+    for count in (3, 2):
+        if width % count or width < 2 * count or not _OF_POINTS.fullmatch(name):
+            continue
+        steps = np.diff(np.reshape(values, (len(values), -1, count)), axis=1)
+        lengths = np.linalg.norm(steps, axis=2)
+        known = lengths[np.isfinite(lengths).all(axis=1)]
+        if len(known) and known.any():
+            changes[count] = float(known.std(axis=0).sum() / known.mean(axis=0).sum())
+    return min(changes, key=lambda count: changes[count], default=None)
+
+
+def _are_points(key: tuple[str, ...], values: NDArray[Any]) -> bool:
+    """Whether an array holds places of several points."""
+    flat = values.ndim == 2 and values.dtype.kind in "fiu"
+    return values.ndim == 3 or (flat and coordinates_in_rows(key[-1], values) is not None)
 
 
 def times_in(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str, ...]]:

@@ -8,6 +8,7 @@ from cell.files.input_error import InputError
 
 #: Key of the description of a rosbag2, and names of the tables of one that is a database.
 OF_BAG, BAG_TABLES = "rosbag2_bagfile_information", frozenset(("topics", "messages"))
+BAG_METADATA = "metadata.yaml"
 _TO_MCAP = "`rosbags-convert --src {} --dst OUT --dst-storage mcap`, of pip's rosbags, makes an "
 _TO_MCAP += ".mcap in the folder OUT, which is read"
 _MDF = (

@@ -314,3 +314,5 @@ def test_a_rosbag2_is_told_by_its_tables_and_its_description(name: str, tmp_path
     for file in (tmp_path / name, description):
         with pytest.raises(InputError, match=f"rosbags-convert --src {tmp_path} --dst OUT"):
             read_trials([file], [], str)
+    told = run(tmp_path, "-o", tmp_path / "s", "--free-length", "0.1", code=2)
+    assert "rosbags-convert --src" in told

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cell.study.folder import read_study
 from cell.study.imports.read import read_capture
 
 from .corpus.swing import BACK_M, MARKERS, Swing, known_study
@@ -144,3 +145,33 @@ def test_places_in_four_dimensions_are_trials_also_without_names(
     file = _saved(tmp_path / "all.npz", arrays, list(MARKERS))
     study = imported([str(file)], tmp_path / "s")
     check_same(study, *truth, place_m=PLACE_M)
+
+
+def test_points_one_after_the_other_in_a_row_and_trials_without_times(tmp_path: Path) -> None:
+    import h5py
+
+    truth, file = known_study(), tmp_path / "demo.hdf5"
+    with h5py.File(file, "w") as store:
+        for k, s in enumerate(truth):
+            of = store.create_group(f"data/demo_{k}/obs")
+            of["cable_keypoints"] = _spatial(s.markers_m).reshape(len(s.t_s), -1)
+            of["robot0_eef_pos"] = _spatial(s.gripper_m)
+            of["robot0_eef_angle_rad"] = s.angle_rad
+            store[f"data/demo_{k}/rewards"] = np.zeros(len(s.t_s))
+    study = imported([str(file), "--rate", "200"], tmp_path / "s")
+    assert [t.name for t in study.trials] == ["demo_0", "demo_1"]
+    check_same(study, *truth, place_m=PLACE_M)
+
+
+@pytest.mark.parametrize("first", ["a_copy", "other_copy"])
+def test_a_point_with_the_places_of_another_is_left_out(tmp_path: Path, first: str) -> None:
+    s = known_study()[0]
+    arrays = {"time": s.t_s, "gripper": s.gripper_m, "angle_rad": s.angle_rad}
+    arrays |= dict(zip(MARKERS, s.markers_m.transpose(1, 0, 2), strict=True))
+    arrays |= {first: s.gripper_m, "tip_copy": s.markers_m[:, -1]}
+    file = _saved(tmp_path / "t.npz", dict(sorted(arrays.items())), [])
+    told = run(file, "-o", tmp_path / "s", *CABLE)
+    assert f"'{first.replace('_', ' ')}' has the places of 'gripper' in all rows" in told
+    assert "'tip copy' has the places of 'tip' in all rows" in told
+    run(tmp_path / "s" / "import.yaml")
+    check_same(read_study(tmp_path / "s"), s, place_m=PLACE_M)
