@@ -325,17 +325,42 @@ def swing_share(end: FloatArray, tip: FloatArray) -> float:
 
     A gripping point rests while the cable still swings; a point of the cable swings with it.
     """
+    share, std = late_swing(end, tip)
+    return share if share > max(_SWINGS, _SIGNIFICANT * std) else 0.0
+
+
+def late_swing(end: FloatArray, tip: FloatArray) -> tuple[float, float]:
+    """Motion of a point (rows, d) with the tip's in the last rows, as a share of that, and its
+    standard deviation; 0 and infinite = too few rows show both."""
     end, tip = _late(end), _late(tip)
     both = np.isfinite(end + tip).all(axis=1)
     if np.count_nonzero(both) <= _FEWEST_LATE:
-        return 0.0
+        return 0.0, np.inf
     own, of_tip = (p[both] - p[both].mean(axis=0) for p in (end, tip))
     by_tip, *_ = np.linalg.lstsq(of_tip, own, rcond=1e-6)
     moved = of_tip @ by_tip
-    residual = float(np.mean((own - moved) ** 2))
-    share = float(np.linalg.norm(moved)) / max(float(np.linalg.norm(of_tip)), 1e-300)
-    significant = float(np.mean(moved**2)) * len(own) > _SIGNIFICANT**2 * residual
-    return share if significant and share > _SWINGS else 0.0
+    size = max(float(np.linalg.norm(of_tip)), 1e-300)
+    residual = float(np.sqrt(np.mean((own - moved) ** 2)))
+    return float(np.linalg.norm(moved)) / size, residual * np.sqrt(own.shape[1]) / size
+
+
+#: Of a beam that is clamped at its root, in its slowest swing: wave number, and ratio of its parts.
+_BEAM, _BEAM_RATIO = 1.875104, 0.734096
+#: A point that swings by more than the beam's over this may be on the cable between both.
+_BETWEEN = 4.0
+
+
+def is_clamped(first: FloatArray, tip: FloatArray, away: float) -> bool:
+    """Whether the first of a chain's points (rows, d) rests with the clamp, by 5 standard
+    deviations, rather than swings as the point of a beam at a share `away` of its length.
+
+    source  Rao, Mechanical Vibrations, "Lateral vibration of beams": fixed-free, first mode
+    """
+    x = _BEAM * max(away, 0.0)
+    swings = 0.5 * (np.cosh(x) - np.cos(x) - _BEAM_RATIO * (np.sinh(x) - np.sin(x)))
+    share, std = late_swing(first, tip)
+    rests = share < swings / _BETWEEN and swing_share(first, tip) == 0.0
+    return bool(rests and swings - share > _SIGNIFICANT * std)
 
 
 def distance_range(first: FloatArray, second: FloatArray) -> float:

@@ -14,6 +14,7 @@ from cell.study.imports.cable_points import (
     detected_often,
     distance_range,
     from_end,
+    is_clamped,
     labeled,
     least_noisy,
     moving,
@@ -131,6 +132,27 @@ def choose(
         f"from the gripper to the tip the markers are {names}, each nearest to the one before",
     )
     return Chosen(tuple(order), hand, second, lost, clamp)
+
+
+def with_clamp(
+    capture: Capture, chosen: Chosen, free_length_m: float | None, findings: ImportFindings
+) -> Chosen:
+    """The points with the first marker as a point of the gripper, whose path is in another file, if
+    it rests while the tip swings.
+
+    Else the last marker would be taken as the tip, and the first one that much away.
+    """
+    first, last = chosen.markers[0], chosen.markers[-1]
+    unit = METRES.get(first.unit)
+    if chosen.gripper or chosen.clamp or len(chosen.markers) < _FEWEST_STEPS or not unit:
+        return chosen
+    raw = {p.name: detected_places(capture, p.columns, chosen.lost) for p in chosen.markers}
+    away = 1.0 - unit * float(_spans(chosen.markers, raw)[0]) / (free_length_m or np.inf)
+    if free_length_m is None or not is_clamped(raw[first.name], raw[last.name], away):
+        return chosen
+    sentence = f"{first.name!r} rests while the tip swings: it is at the gripping point"
+    findings.shown("markers", f"{sentence}, and no marker is at the tip")
+    return replace(chosen, markers=chosen.markers[1:], clamp=first)
 
 
 def _of_chain(

@@ -36,8 +36,8 @@ from cell.study.imports.groups import (
     with_trials_first,
     within,
 )
-from cell.study.imports.line_protocol import is_of_messages, messages_tree
 from cell.study.imports.long_tables import pivoted
+from cell.study.imports.message_text import is_of_messages, messages_tree
 from cell.study.imports.named_series import (
     igor_tree,
     is_igor_text,

@@ -13,7 +13,13 @@ from cell.files.words import first_of
 from cell.study.entries import CableSection
 from cell.study.imports.cable_root import Root, curve_to_gripper, start_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
-from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
+from cell.study.imports.choosing import (
+    Chosen,
+    check_scales,
+    choose,
+    detected_places,
+    with_clamp,
+)
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
@@ -124,6 +130,8 @@ def _proposed(
     stated = with_files(stated, [files.capture for files in trials], findings)
     _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
+    if gripper is not None:
+        chosen = with_clamp(first.capture, chosen, stated.free_length_m, findings)
     check_scales([files.capture for files in trials], chosen, findings)
     time, finding = time_of_markers(
         first.capture, inside, chosen.gripper, chosen.markers, stated.rate_hz

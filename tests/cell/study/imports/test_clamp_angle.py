@@ -223,6 +223,20 @@ def test_of_a_lost_marker_s_value_the_hand_is_left_out_only_where_it_jumps(jumps
     assert path.note.startswith("a: the gripper is taken as not seen in 3 rows") == jumps
 
 
+@pytest.mark.parametrize("dot", [True, False])
+def test_a_first_marker_that_rests_while_the_tip_swings_is_at_the_clamp(dot: bool) -> None:
+    """The last marker is not the tip then; without the dot it is, for all that is known."""
+    m = swing("a", trial(np.zeros(240)).gripper_m, np.full(len(T_S), 0.2), 1, T_S, NOISE_M)
+    dots_m = m.gripper_m + np.random.default_rng(2).normal(0.0, NOISE_M, m.gripper_m.shape)
+    places_m = [*([dots_m] if dot else []), *m.markers_m[:, :4].transpose(1, 0, 2)]
+    columns = {f"point {i} {a} [mm]": place[:, k] * 1e3 + 500.0
+               for i, place in enumerate(places_m) for k, a in enumerate("xy")}  # fmt: skip
+    found = understood(captured("a.csv", **columns), of_hand_file(m))
+    arcs = [entry.arc_length_m for entry in found.mapping.markers]
+    np.testing.assert_allclose(arcs, ARCS_M[:4] if dot else ARCS_M[1:], atol=1e-3)
+    assert ("rests while the tip swings" in " ".join(said(found, "markers"))) == dot
+
+
 @pytest.mark.parametrize("count", [1, 4])
 def test_arcs_from_a_hand_in_its_own_file_state_how_well_they_are_known(count: int) -> None:
     """Of one marker that is taken for the tip nothing tells that; it once broke the proposal."""
