@@ -74,7 +74,7 @@ def choose(
     points = _same_dimension(capture, inside, findings)
     lost = _missing_codes([capture, *others], points)
     raw = {p.name: detected_places(capture, p.columns, lost, p.on_gripper) for p in points}
-    points = _distinct(points, raw, findings)
+    points = _distinct(capture, points, raw, findings)
     for value in lost:
         findings.shown("lost", f"{value:g} in all coordinates means that a marker was not seen")
     points = without_corners(points, raw, findings)
@@ -116,12 +116,14 @@ def choose(
     elif hand is None and clamp is None:
         order = from_end(cable, raw)
         if behind := _count_on_gripper(order, raw, free_length_m):
-            names = ", ".join(repr(p.name) for p in order[:behind])
-            sentence = (
-                f"{names}: on the gripper, for with them the markers span more than the cable"
-            )
-            findings.guessed("markers", f"{sentence}, and they move as one body: left out")
+            listed = ", ".join(repr(p.name) for p in order[:behind])
+            sentence = f"{listed}: on the gripper, for with them the markers span more than the "
+            findings.guessed("markers", f"{sentence}cable, and they move as one body: left out")
             order = from_end(order[behind:], raw)
+        if _begins_at_clamp(order, raw, free_length_m):
+            clamp, *order = order
+            sentence = f"{clamp.name!r} rests while the tip swings: it is at the gripping point"
+            findings.shown("markers", f"{sentence}, and no marker is at the tip")
     else:
         first = hand or clamp
         assert first is not None
@@ -134,25 +136,18 @@ def choose(
     return Chosen(tuple(order), hand, second, lost, clamp)
 
 
-def with_clamp(
-    capture: Capture, chosen: Chosen, free_length_m: float | None, findings: ImportFindings
-) -> Chosen:
-    """The points with the first marker as a point of the gripper, whose path is in another file, if
-    it rests while the tip swings.
+def _begins_at_clamp(
+    order: Sequence[Point], raw: dict[str, FloatArray], free_length_m: float | None
+) -> bool:
+    """Whether the first marker is on a gripper with its own file: it rests while the tip swings.
 
-    Else the last marker would be taken as the tip, and the first one that much away.
+    Else the last marker would be taken as the tip, and the first one would be away from the clamp.
     """
-    first, last = chosen.markers[0], chosen.markers[-1]
-    unit = METRES.get(first.unit)
-    if chosen.gripper or chosen.clamp or len(chosen.markers) < _FEWEST_STEPS or not unit:
-        return chosen
-    raw = {p.name: detected_places(capture, p.columns, chosen.lost) for p in chosen.markers}
-    away = 1.0 - unit * float(_spans(chosen.markers, raw)[0]) / (free_length_m or np.inf)
-    if free_length_m is None or not is_clamped(raw[first.name], raw[last.name], away):
-        return chosen
-    sentence = f"{first.name!r} rests while the tip swings: it is at the gripping point"
-    findings.shown("markers", f"{sentence}, and no marker is at the tip")
-    return replace(chosen, markers=chosen.markers[1:], clamp=first)
+    unit = METRES.get(order[0].unit)
+    if free_length_m is None or unit is None or len(order) < _FEWEST_STEPS:
+        return False
+    away = 1.0 - unit * float(_spans(order, raw)[0]) / free_length_m
+    return away > _LENGTH_TOL and is_clamped(raw[order[0].name], raw[order[-1].name], away)
 
 
 def _of_chain(
@@ -232,21 +227,32 @@ def _check_not_single(capture: Capture, cable: Sequence[Point], others: Sequence
 
 
 def _distinct(
-    points: Sequence[Point], raw: dict[str, FloatArray], findings: ImportFindings
+    capture: Capture,
+    points: Sequence[Point],
+    raw: dict[str, FloatArray],
+    findings: ImportFindings,
 ) -> list[Point]:
-    """Points without those that have the places of another in all rows that show both.
+    """Points without those on the gripper that have the places of another in all rows with both.
 
-    Of two the gripper's is kept, else the one that is shown in more rows; both of the gripper's
-    are, as a body and a marker at its origin.
+    One of the gripper's is kept; both are if both are called so, as a body and a marker at its
+    origin.
+
+    raises  InputError: two points away from the gripper are one marker: where it is, is unknown
     """
+    hands = [raw[p.name] for p in points if p.on_gripper]
     names = set[str]()
-    for i, k, _ in identical(np.stack([raw[p.name] for p in points], axis=1)):
+    for i, k, both in identical(np.stack([raw[p.name] for p in points], axis=1)):
         pair = points[i], points[k]
         if all(p.on_gripper for p in pair) or names & {p.name for p in pair}:
             continue
-        rows = [int(np.isfinite(raw[p.name]).all(axis=1).sum()) for p in pair]
-        is_second = pair[1].on_gripper or (rows[0] < rows[1] and not pair[0].on_gripper)
-        kept, spare = pair[::-1] if is_second else pair
+        kept, spare = pair[::-1] if pair[1].on_gripper else pair
+        most = _RIGID * reach_of(raw[spare.name])
+        if not any(distance_range(hand, raw[spare.name]) < most for hand in hands):
+            raise capture.error(
+                int(np.argmax(both)),
+                f"{kept.name!r} and {spare.name!r} have the same places in all {both.sum()} rows "
+                "that show both: it is one marker; remove the columns of one",
+            )
         names.add(spare.name)
         sentence = f"{spare.name!r} has the places of {kept.name!r} in all rows that show both"
         findings.shown("markers", f"{sentence}: it is left out")

@@ -18,7 +18,6 @@ from cell.study.imports.choosing import (
     check_scales,
     choose,
     detected_places,
-    with_clamp,
 )
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
@@ -130,8 +129,6 @@ def _proposed(
     stated = with_files(stated, [files.capture for files in trials], findings)
     _add_joined(first, findings)
     chosen = choose(first.capture, inside, elsewhere, findings, captures, stated.free_length_m)
-    if gripper is not None:
-        chosen = with_clamp(first.capture, chosen, stated.free_length_m, findings)
     check_scales([files.capture for files in trials], chosen, findings)
     time, finding = time_of_markers(
         first.capture, inside, chosen.gripper, chosen.markers, stated.rate_hz
