@@ -33,6 +33,8 @@ MOST_RAD = 2.0 * np.pi
 _SIGN_COST, _QUARTER_COST, _UNIT_COST = 0.02, 0.3, 0.05
 #: An unnamed angle is the clamp's if it is within this of the root at rest, rad.
 _SAME_AT_REST = 0.1
+#: … and a measured one agrees with a stated one within this, rad.
+_SAME_AS_STATED = 0.01
 #: Number of medians of a trial by which a gripper that does not turn is recognized.
 _BLOCKS = 50
 
@@ -150,12 +152,15 @@ def stated_angle(
         sentence = f"the clamp angle is {angle} at rest, as --clamp-angle says: that fixes the "
         sentence += "offset to the gripper's direction, which hardly turns"
     else:
-        found = " ".join(f.sentence for f in about if f.entry == "hand.angle")
+        found = "; ".join(f.sentence for f in about if f.entry == "hand.angle")
         values = clamp_angle_rad(captures[0], hand.angle, hand.axes or axes)
         known = np.empty(0) if values is None else values[np.isfinite(values)]
         remedy = "leave the option out"
         if len(known):
             rest_rad = float(np.median(first_rows(known)))
+            if abs(wrapped(rest_rad - stated_rad)) < _SAME_AS_STATED:
+                findings.stated("hand.angle", f"at rest it is {angle}, as --clamp-angle says")
+                return hand
             offset = wrapped(hand.angle.offset_rad + stated_rad - rest_rad)
             remedy += f", and give offset_rad: {offset:.4g} in the mapping if it is that at rest"
         raise InputError.at(path, f"{option}, but {found}; {remedy}")

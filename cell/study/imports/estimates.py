@@ -30,6 +30,7 @@ from cell.study.imports.trials import (
     markers_m,
     origin_by_clamp,
 )
+from cell.study.series import noise_m
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,7 @@ def _origin_m(
         message += " where the origin of the gripper's places is, as [x, y]"
         raise read.error(("hand", "origin_m"), message)
     start_m, error_m = start_of(CubicSpline(arcs, middle(rest)))
+    error_m = float(np.hypot(error_m, np.nan_to_num(noise_m(rest))))
     where = f"the markers' curve begins at the gripper, ± {error_m * 1e3:.1g} mm"
     return _rounded(start_m - at_m), where
 

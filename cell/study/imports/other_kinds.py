@@ -14,7 +14,7 @@ _TO_MCAP += ".mcap in the folder OUT, which is read"
 _MDF = (
     "a measurement in MDF; asammdf makes a CSV of each of its groups, with the group's own times: "
 )
-_MDF += "MDF('{}').export('csv', time_from_zero=False)"
+_MDF += "MDF('{}').export('csv', 'OUT', time_from_zero=False)"
 _PYTHON = "of Python's objects, which run code when read; save arrays by numpy.savez, or a table "
 _PYTHON += "by to_csv"
 #: The kind of each ending, and its export; {} is the file's path.

@@ -154,19 +154,25 @@ class MeasuredArcs:
     source   who states them
     file     of the markers
     columns  that state them
+    begins   whether the first marker, for which nothing is stated, is at the gripper
     """
 
     arcs_m: FloatArray
     source: str
     file: Path
     columns: tuple[str, ...] = ()
+    begins: bool = False
 
     def check(self, curve_m: FloatArray) -> None:
-        """Raise InputError if the curve (markers,) through the markers contradicts them."""
+        """Raise InputError if the curve (markers,) through the markers contradicts them.
+
+        An unstated place needs a curve that shows it.
+        """
         apart_m = np.abs(self.arcs_m - curve_m)
-        if not np.isfinite(apart_m).all():
-            return
-        worst, limit_m = int(np.argmax(apart_m)), _MEASURED_TOL * float(curve_m[-1])
+        worst, limit_m = int(np.argmax(apart_m)), float(curve_m[-1])
+        limit_m *= TIP if self.begins else _MEASURED_TOL
+        if self.begins and not apart_m[worst] <= limit_m:
+            raise InputError.at(self.file, _wrong_count(len(apart_m) - 1, len(apart_m)))
         if apart_m[worst] > limit_m:
             message = f"{self.source} puts marker {worst + 1} from the gripper at "
             message += f"{self.arcs_m[worst]:g} m, yet on the curve through the markers it is at "
@@ -174,25 +180,35 @@ class MeasuredArcs:
             raise InputError.at(self.file, f"{message}their order or the unit of length")
 
 
+def _wrong_count(given: int, markers: int) -> str:
+    return (
+        f"--arc-lengths has {given} values, but {markers} markers are found; give one for each, 0 "
+        "for one at the gripper"
+    )
+
+
 def measured_arcs(
     capture: Capture, markers: Sequence[Point], stated: Stated
 ) -> MeasuredArcs | None:
     """Arc lengths that the user states, or a column; None = nobody does.
 
+    The user may leave out that of a marker at the gripper, or state it for the gripping point.
     A column of a table of points has one value for each point, which rises along the cable.
 
     raises  InputError: the user states another number of them, or they do not rise
     """
     if (given := stated.arc_lengths_m) is not None:
-        option = "--arc-lengths"
-        if len(given) != len(markers):
-            names = ", ".join(repr(p.name) for p in markers)
-            message = f"{option} has {len(given)} values, but {len(markers)} markers are found "
-            raise InputError.at(capture.path, f"{message}({names}); give one for each")
-        if given[0] < 0.0 or np.any(np.diff(given) <= 0.0):
-            message = f"{option} does not rise from the gripper to the tip; order the values so"
+        if not given or given[0] < 0.0 or np.any(np.diff(given) <= 0.0):
+            message = "--arc-lengths does not rise from the gripper to the tip; order the values so"
             raise InputError.at(capture.path, message)
-        return MeasuredArcs(np.array(given), option, capture.path)
+        begins = len(given) == len(markers) - 1 and given[0] > 0.0
+        if begins:
+            given = (0.0, *given)
+        elif len(given) == len(markers) + 1 and given[0] == 0.0:  # of the gripping point itself
+            given = given[1:]
+        if len(given) != len(markers):
+            raise InputError.at(capture.path, _wrong_count(len(given), len(markers)))
+        return MeasuredArcs(np.array(given), "--arc-lengths", capture.path, (), begins)
     columns: dict[str, dict[str, str]] = {}
     for name in capture.names:
         bare, unit = split_unit(name)

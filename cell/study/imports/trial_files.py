@@ -37,15 +37,21 @@ def read_trials(
         single_parts = not any(parts_in(file) for file in files)
         if single_parts and (of_motions := _of_motions(files, gripper_files, read, named)):
             return of_motions
+    entries: list[tuple[str, Path, Path | None]] = []
     if gripper_files and len(hands) != len(files):
         for file in files:
             parts_in(file) or read(file)  # of a kind that is not read, the number is unknown
-        raise ValueError(
-            f"--hand names {len(hands)} files for {len(files)} trials; give one for each, "
-            "in their order"
-        )
-    entries: list[tuple[str, Path, Path | None]] = []
-    for file, hand in zip(files, hands or [None] * len(files), strict=True):
+        trials = [(part.name or file.stem, with_part(file, part.markers))
+                  for file in files for part in parts_in(file)]  # fmt: skip
+        if len(hands) != len(trials):
+            count = max(len(trials), len(files))
+            raise ValueError(
+                f"--hand names {len(hands)} files for {count} trials; give one for each, "
+                "in their order"
+            )
+        entries = [(name, file, hand) for (name, file), hand in zip(trials, hands, strict=True)]
+        files = []
+    for file, hand in zip(files, hands if files and hands else [None] * len(files), strict=True):
         parts = parts_in(file) if hand is None else []
         if not parts:
             entries.append((file.stem, file, hand))

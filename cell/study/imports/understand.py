@@ -64,6 +64,7 @@ from cell.study.imports.stated import OF_CABLE, Stated, with_files
 from cell.study.imports.trial_files import by_rows, named_alike
 from cell.study.imports.trials import Files, origin_by_clamp, stroke_gain, trial_entries
 from cell.study.imports.units import METRES
+from cell.study.series import noise_m
 
 #: Minimum downward component of a second coordinate that runs down, as in an image.
 _DOWN = 0.5
@@ -358,6 +359,7 @@ def _with_origin(
     if hand.columns is None or gripper.initial is None or scale is None or curve is None:
         return hand
     (start_m, error_m), length_m = start_of(curve), float(curve.x[-1])
+    error_m = float(np.hypot(error_m, np.nan_to_num(noise_m(scene.xy_m[:, 0]))))
     own_axes, unit = hand.axes or axes, hand.metres_per_unit or scale
     initial = np.zeros(len(hand.columns))
     initial[[column is not None for column in hand.columns]] = gripper.initial

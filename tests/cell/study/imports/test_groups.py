@@ -19,6 +19,7 @@ from cell.study.imports.trial_files import read_trials
 
 from .corpus.others import line_protocol
 from .corpus.swing import LENGTH_M, Swing, known_study
+from .corpus.text import cells, lines
 from .made import check_same, run, saved
 from .test_corpus import study_from
 
@@ -55,6 +56,24 @@ def test_groups_of_equal_structure_are_trials_with_their_grippers(
     study, _ = _study(file)
     assert [t.name for t in study.trials] == ["trial_1", "trial_2"]
     check_same(study, *truth, place_m=2e-4, angle_rad=1e-3)
+
+
+def test_trials_in_one_file_have_grippers_in_files_of_their_own(tmp_path: Path) -> None:
+    import h5py
+
+    truth, file, hands = known_study(), tmp_path / "session.h5", list[Path]()
+    with h5py.File(file, "w") as store:
+        for number, s in enumerate(truth, 1):
+            store[f"trial_{number}/t_ms"] = s.t_s * 1e3
+            store[f"trial_{number}/markers"] = s.markers_m
+            log = _hand_log(s)
+            rows = cells(np.column_stack(list(log.values())), 9)
+            hands.append(saved(tmp_path / f"robot_{number}.csv", lines([[*log], *rows])))
+    trials = read_trials([file], hands, str)
+    assert [t.name for t in trials] == ["trial_1", "trial_2"]
+    assert [t.gripper_file for t in trials] == [str(hand) for hand in hands]
+    with pytest.raises(ValueError, match="names 3 files for 2 trials"):
+        read_trials([file], [*hands, hands[0]], str)
 
 
 def test_what_attributes_state_of_the_cable_is_taken_and_not_contradicted(tmp_path: Path) -> None:

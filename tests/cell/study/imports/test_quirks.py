@@ -184,6 +184,20 @@ def test_a_marker_at_the_gripper_shows_no_angle(tmp_path: Path) -> None:
     run(mapping)
 
 
+def test_a_marker_at_the_gripper_needs_no_arc_length(tmp_path: Path) -> None:
+    m = made()
+    places = np.column_stack([m.gripper_m, m.markers_m.reshape(len(m.t_s), -1)]) * 1e3
+    names = ["t_s", *(f"K{k}_{a}_mm" for k in range(6) for a in "xy")]
+    rows = np.column_stack([m.t_s, places])
+    file = saved(tmp_path / "a.csv", text([names, *digits(rows, 7)]))
+    pose = np.column_stack([m.t_s, np.add(m.gripper_m, (0.4, 0.2)), np.degrees(m.angle_rad)])
+    names = ["t_s", "tcp_x_m", "tcp_y_m", "tcp_angle_deg"]
+    hand = saved(tmp_path / "b.csv", text([names, *digits(pose, 7)]))
+    arcs = ",".join(f"{s:g}" for s in ARCS_M)
+    run(file, "--hand", hand, "-o", tmp_path / "s", *CABLE, "--arc-lengths", arcs)
+    assert [arc_m for arc_m, _ in _arcs_of(tmp_path / "s")] == [0.0, *ARCS_M]
+
+
 # --- arc lengths ----------------------------------------------------------------------------------
 
 
@@ -192,9 +206,10 @@ def _arcs_of(folder: Path) -> list[tuple[float, float | None]]:
     return [(m["arc_length_m"], m.get("arc_length_std_m")) for m in markers]
 
 
-def test_arc_lengths_are_the_stated_ones(tmp_path: Path) -> None:
+@pytest.mark.parametrize("arcs", ["0.021, 0.04,0.06,0.08 0.1", "0,0.021,0.04,0.06,0.08,0.1"])
+def test_arc_lengths_are_the_stated_ones(arcs: str, tmp_path: Path) -> None:
+    """The gripping point's own may be among them."""
     (file,) = wide_metres(made(), tmp_path)
-    arcs = "0.021, 0.04,0.06,0.08 0.1"
     told = run(file, "-o", tmp_path / "s", *CABLE, "--arc-lengths", arcs)
     assert "arc lengths are those of --arc-lengths" in told
     assert _arcs_of(tmp_path / "s") == [(s, None) for s in (0.021, 0.04, 0.06, 0.08, 0.1)]
@@ -203,7 +218,9 @@ def test_arc_lengths_are_the_stated_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arcs", "told"),
     [
-        ("0.02,0.04,0.06,0.1", "has 4 values, but 5 markers are found ('m1', 'm2', 'm3', 'm4'"),
+        ("0.02,0.04,0.06,0.1", "has 4 values, but 5 markers are found; give one for each, 0 for"),
+        ("0.02,0.06,0.1", "has 3 values, but 5 markers are found"),
+        ("", "does not rise"),
         ("0.1,0.08,0.06,0.04,0.02", "does not rise from the gripper to the tip; order"),
         ("20,40,60,80,100", "puts marker 5 from the gripper at 100 m, yet on the curve"),
         ("0.02,0.055,0.06,0.08,0.1", "puts marker 2 from the gripper at 0.055 m, yet"),
