@@ -158,7 +158,8 @@ def stated_angle(
         remedy = "leave the option out"
         if len(known):
             rest_rad = float(np.median(first_rows(known)))
-            if abs(wrapped(rest_rad - stated_rad)) < _SAME_AS_STATED:
+            turns = float(np.ptp(continuous(known))) > MIN_ROTATION
+            if not turns and abs(wrapped(rest_rad - stated_rad)) < _SAME_AS_STATED:
                 findings.stated("hand.angle", f"at rest it is {angle}, as --clamp-angle says")
                 return hand
             offset = wrapped(hand.angle.offset_rad + stated_rad - rest_rad)
