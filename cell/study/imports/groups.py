@@ -63,28 +63,31 @@ def time_groups(tree: Mapping[tuple[str, ...], NDArray[Any]]) -> list[tuple[str,
     return alike if len(alike) == len(of_points) else []
 
 
-#: Words of an array of points, whose coordinates may stand one after the other in a row.
-_OF_POINTS = re.compile(r".*(keypoint|point|marker|node|landmark|track|dot|position)s?.*", re.I)
+#: Words of an array of points, whose coordinates may stand one after the other in a row, and the
+#: largest change of the distances of neighbours on a cable, as a share of these.
+_OF_POINTS = frozenset(("keypoints", "points", "markers", "nodes", "landmarks", "dots", "tracks"))
+_CHAIN_CHANGE = 0.1
 
 
 def coordinates_in_rows(name: str, values: NDArray[Any]) -> int | None:
     """Number of coordinates, 2 or 3, of points that stand one after the other in a row.
 
-    It is that under which neighbours keep their distances best.
+    It is that under which neighbours keep their distances best, as on a cable.
 
     values   (rows, points · coordinates)
-    returns  None = the array is not named after points, or has one
+    returns  None = the array is not named after points, or these are no chain
     """
     width, changes = values.shape[1], dict[int, float]()
     for count in (3, 2):
-        if width % count or width < 2 * count or not _OF_POINTS.fullmatch(name):
+        if width % count or width < 2 * count or not _OF_POINTS & _words((name,)):
             continue
         steps = np.diff(np.reshape(values, (len(values), -1, count)), axis=1)
         lengths = np.linalg.norm(steps, axis=2)
         known = lengths[np.isfinite(lengths).all(axis=1)]
         if len(known) and known.any():
             changes[count] = float(known.std(axis=0).sum() / known.mean(axis=0).sum())
-    return min(changes, key=lambda count: changes[count], default=None)
+    best = min(changes, key=lambda count: changes[count], default=None)
+    return best if best is not None and changes[best] < _CHAIN_CHANGE else None
 
 
 def _are_points(key: tuple[str, ...], values: NDArray[Any]) -> bool:

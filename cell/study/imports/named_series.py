@@ -226,6 +226,8 @@ def _scaled(wave: Waveform, scale: re.Match[str]) -> Waveform:
     return replace(wave, start=first, step=second, step_unit=unit) if is_scaled else wave
 
 
+# --- Octave ---------------------------------------------------------------------------------------
+
 _OCTAVE = re.compile(r"(?:#.*\n)*?# name: .*\n# type: ")
 _VARIABLE = re.compile(r"^# name: (.*)$", re.MULTILINE)
 _PROPERTY = re.compile(r"^# ([\w ]+): (.*)$", re.MULTILINE)

@@ -17,8 +17,9 @@ from cell.study.imports.cable_root import (
     RootEnds,
     root_of_shape,
 )
-from cell.study.imports.capture import Capture, ImportFindings
+from cell.study.imports.capture import Capture, CapturedColumn, ImportFindings
 from cell.study.imports.choosing import Chosen, detected_places
+from cell.study.imports.column_names import ColumnKind, meaning
 from cell.study.imports.contents import Point
 from cell.study.imports.gripper_proposal import TIP
 from cell.study.imports.gripper_section import AxesSection
@@ -148,12 +149,12 @@ def root_ends(
 
 @dataclass(frozen=True, eq=False)
 class MeasuredArcs:
-    """Measured arc lengths of the markers.
+    """Arc lengths of the markers that the user or the columns of a file state.
 
     arcs_m   (markers,) from the gripper on
     source   who states them
     file     of the markers
-    columns  that state them
+    columns  that state them; empty = the user does
     begins   whether the first marker, for which nothing is stated, is at the gripper
     """
 
@@ -163,14 +164,21 @@ class MeasuredArcs:
     columns: tuple[str, ...] = ()
     begins: bool = False
 
-    def check(self, curve_m: FloatArray) -> None:
-        """Raise InputError if the curve (markers,) through the markers contradicts them.
+    def agrees(self, scene: PlaneChain, known: bool) -> bool:
+        """Whether they are those of the curve through the markers, or that is unknown.
 
-        An unstated place needs a curve that shows it.
+        What nobody states as arc lengths must agree closely, with a curve that is known.
+
+        known   whether the unit of length is
+        raises  InputError: the curve contradicts the user
         """
+        curve_m = scene.arcs + (0.0 if scene.from_gripper else self.arcs_m[0] - scene.arcs[0])
+        curve_m = curve_m if known else np.full(len(curve_m), np.nan)
         apart_m = np.abs(self.arcs_m - curve_m)
         worst, limit_m = int(np.argmax(apart_m)), float(curve_m[-1])
-        limit_m *= TIP if self.begins else _MEASURED_TOL
+        limit_m *= TIP if self.begins or self.columns else _MEASURED_TOL
+        if self.columns:
+            return bool(apart_m[worst] <= limit_m)
         if self.begins and not apart_m[worst] <= limit_m:
             raise InputError.at(self.file, _wrong_count(len(apart_m) - 1, len(apart_m)))
         if apart_m[worst] > limit_m:
@@ -178,6 +186,7 @@ class MeasuredArcs:
             message += f"{self.arcs_m[worst]:g} m, yet on the curve through the markers it is at "
             message += f"{curve_m[worst]:.4g} m, limit {limit_m:.2g} m apart; correct the values, "
             raise InputError.at(self.file, f"{message}their order or the unit of length")
+        return True
 
 
 def _wrong_count(given: int, markers: int) -> str:
@@ -188,17 +197,21 @@ def _wrong_count(given: int, markers: int) -> str:
 
 
 def measured_arcs(
-    capture: Capture, markers: Sequence[Point], stated: Stated
+    capture: Capture, markers: Sequence[Point], stated: Stated, scene: PlaneChain, known: bool
 ) -> MeasuredArcs | None:
-    """Arc lengths that the user states, or a column; None = nobody does.
+    """Arc lengths that the user states, or perhaps columns; None = nobody does.
 
     The user may leave out that of a marker at the gripper, or state it for the gripping point.
-    A column of a table of points has one value for each point, which rises along the cable.
+    Columns of points that have no other meaning may be arc lengths if each has one value, which
+    rises along the cable.
 
-    raises  InputError: the user states another number of them, or they do not rise
+    known   whether the unit of length is
+    raises  InputError: the user states another number of them, they do not rise, or the curve
+            through the markers contradicts them
     """
     if (given := stated.arc_lengths_m) is not None:
-        if not given or given[0] < 0.0 or np.any(np.diff(given) <= 0.0):
+        rises = bool(np.all(np.diff(given) > 0.0)) and bool(np.isfinite(given).all())
+        if not given or given[0] < 0.0 or not rises:
             message = "--arc-lengths does not rise from the gripper to the tip; order the values so"
             raise InputError.at(capture.path, message)
         begins = len(given) == len(markers) - 1 and given[0] > 0.0
@@ -208,20 +221,25 @@ def measured_arcs(
             given = given[1:]
         if len(given) != len(markers):
             raise InputError.at(capture.path, _wrong_count(len(given), len(markers)))
-        return MeasuredArcs(np.array(given), "--arc-lengths", capture.path, (), begins)
+        by_user = MeasuredArcs(np.array(given), "--arc-lengths", capture.path, (), begins)
+        return by_user if by_user.agrees(scene, known) else None
     columns: dict[str, dict[str, str]] = {}
     for name in capture.names:
         bare, unit = split_unit(name)
         owner = next((p.name for p in markers if bare.startswith(f"{p.name} ")), "")
-        if owner and unit in METRES and np.ptp(capture.column(name)) == 0.0:
+        is_other = meaning(CapturedColumn(name)).kind is ColumnKind.OTHER
+        if owner and is_other and unit in METRES and np.ptp(capture.column(name)) == 0.0:
             columns.setdefault(bare.removeprefix(f"{owner} "), {})[owner] = name
     for word, column_of in columns.items():
         if len(column_of) != len(markers) or len(markers) < A_LINE:
             continue
         ordered = tuple(column_of[p.name] for p in markers)
         arcs_m = np.array([capture.column(n)[0] * METRES[split_unit(n)[1]] for n in ordered])
-        if arcs_m[0] >= 0.0 and np.all(np.diff(arcs_m) > 0.0):
-            return MeasuredArcs(arcs_m, f"column {word!r}", capture.path, ordered)
+        if arcs_m[0] < 0.0 or np.any(np.diff(arcs_m) <= 0.0):
+            continue
+        by_columns = MeasuredArcs(arcs_m, f"column {word!r}", capture.path, ordered)
+        if by_columns.agrees(scene, known):
+            return by_columns
     return None
 
 
@@ -239,9 +257,8 @@ def arcs_of(
     measured  None = nobody states them
     """
     if measured is not None:
-        curve_m = scene.arcs + (0.0 if scene.from_gripper else measured.arcs_m[0] - scene.arcs[0])
-        measured.check(curve_m if known else np.full(len(curve_m), np.nan))
-        findings.stated("markers", f"arc lengths are those of {measured.source}")
+        report = findings.guessed if measured.columns else findings.stated
+        report("markers", f"arc lengths are those of {measured.source}")
         return [float(s) for s in measured.arcs_m]
     lengths, length_m = scene.arcs, stated.free_length_m
     how = "" if chosen.gripper is not None else ", from the gripper's place at rest on"

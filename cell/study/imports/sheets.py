@@ -72,8 +72,8 @@ def _sheets(path: Path) -> dict[str, Capture]:
         of_cable = of_cable or _stated_length(rows[:_MAX_HEADER])
         rows = [row for row in rows if not row.blank]
         try:
-            if beside := _tables_beside(path, title, rows):
-                tables |= beside
+            if adjacent := _adjacent_tables(path, title, rows):
+                tables |= adjacent
             elif (capture := _table_of(path, rows)) is not None:
                 tables[title] = capture
         except InputError as error:
@@ -87,7 +87,7 @@ def _sheets(path: Path) -> dict[str, Capture]:
     return {title: replace(table, of_cable=of_cable) for title, table in joint.items()}
 
 
-def _tables_beside(path: Path, title: str, rows: Sequence[Row]) -> dict[str, Capture]:
+def _adjacent_tables(path: Path, title: str, rows: Sequence[Row]) -> dict[str, Capture]:
     """Tables of a sheet side by side, each with times of its own; empty = they are one."""
     tables: dict[str, Capture] = {}
     for block in blocks(rows):

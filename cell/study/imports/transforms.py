@@ -105,14 +105,14 @@ def only_constant(path: Path) -> bool:
 
 
 def static_files(path: Path) -> list[Path]:
-    """Files of constant transforms beside a file, by their names."""
-    beside = sorted(p for p in path.parent.glob(f"*{_STATIC}*") if p.is_file() and p != path)
-    return [p for p in beside if holds_transforms(p)]
+    """Files of constant transforms in the folder of a file, by their names."""
+    files = sorted(p for p in path.parent.glob(f"*{_STATIC}*") if p.is_file() and p != path)
+    return [p for p in files if holds_transforms(p)]
 
 
 def transform_notes(path: Path) -> list[str]:
-    """Which files of constant transforms beside a file are used, and which frames have no path."""
-    notes = [f"{path}: the constant transforms of {file.name} beside it are used"
+    """Notes on the files of constant transforms that are used, and on frames without a path."""
+    notes = [f"{path}: the constant transforms of {file.name} in its folder are used"
              for file in static_files(path)]  # fmt: skip
     roots: dict[str, list[str]] = {}
     for each in _outermost(_with_static(path, read_document(path).whole)):
@@ -120,16 +120,16 @@ def transform_notes(path: Path) -> list[str]:
     if len(roots) > 1:
         frames = "; ".join(f"{first_of(names, 3)} in {root!r}" for root, names in roots.items())
         sentence = f"{path}: no transform joins {frames}: if one is known, save it, as of "
-        notes.append(f"{sentence}/tf_static, in a file with `{_STATIC}` in its name beside this")
+        notes.append(f"{sentence}/tf_static, in this folder in a file with `{_STATIC}` in its name")
     return notes
 
 
 def transforms_tree(path: Path, content: Any) -> tuple[Tree, dict[tuple[str, ...], str]]:
     """Paths of the outermost frames by source, at the source's times; empty = no transforms.
 
-    Frames with one clock are one source.  Constant transforms may be in a file beside.
+    Frames with one clock are one source.  Constant transforms may be in another file of the folder.
 
-    raises  InputError: files beside contradict each other
+    raises  InputError: files contradict each other
     """
     tree: Tree = {}
     units: dict[tuple[str, ...], str] = {}
@@ -145,7 +145,7 @@ def transforms_tree(path: Path, content: Any) -> tuple[Tree, dict[tuple[str, ...
 
 
 def _with_static(path: Path, content: Any) -> dict[str, _Edge]:
-    """Each frame's transforms, with those of files beside.  Raises InputError."""
+    """Each frame's transforms, with those of constant ones in the folder.  Raises InputError."""
     edges = _edges(content)
     if not any(edge.moves for edge in edges.values()):
         return {}

@@ -37,27 +37,25 @@ def read_trials(
         single_parts = not any(parts_in(file) for file in files)
         if single_parts and (of_motions := _of_motions(files, gripper_files, read, named)):
             return of_motions
+    of_parts = bool(gripper_files) and len(hands) != len(files)  # grippers of trials in a file
+    hand_of = hands if hands and not of_parts else [None] * len(files)
     entries: list[tuple[str, Path, Path | None]] = []
-    if gripper_files and len(hands) != len(files):
-        for file in files:
-            parts_in(file) or read(file)  # of a kind that is not read, the number is unknown
-        trials = [(part.name or file.stem, with_part(file, part.markers))
-                  for file in files for part in parts_in(file)]  # fmt: skip
-        if len(hands) != len(trials):
-            count = max(len(trials), len(files))
-            raise ValueError(
-                f"--hand names {len(hands)} files for {count} trials; give one for each, "
-                "in their order"
-            )
-        entries = [(name, file, hand) for (name, file), hand in zip(trials, hands, strict=True)]
-        files = []
-    for file, hand in zip(files, hands if files and hands else [None] * len(files), strict=True):
+    for file, hand in zip(files, hand_of, strict=True):
         parts = parts_in(file) if hand is None else []
         if not parts:
             entries.append((file.stem, file, hand))
         for part in parts:
             gripper = with_part(file, part.gripper) if part.gripper else None
             entries.append((part.name or file.stem, with_part(file, part.markers), gripper))
+    if of_parts:
+        for _, file, _ in entries:
+            read(file)  # of a kind that is not read, the number of trials is unknown
+        if len(hands) != len(entries):
+            raise ValueError(
+                f"--hand names {len(hands)} files for {len(entries)} trials; give one for each, "
+                "in their order"
+            )
+        entries = [(name, file, hand) for (name, file, _), hand in zip(entries, hands, strict=True)]
     names = unique_names([label for label, _, _ in entries])
     return [
         _trial(name, file, hand, read, named)

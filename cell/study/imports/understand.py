@@ -13,12 +13,7 @@ from cell.files.words import first_of
 from cell.study.entries import CableSection
 from cell.study.imports.cable_root import Root, curve_to_gripper, start_of
 from cell.study.imports.capture import Capture, Finding, ImportFindings, Sure
-from cell.study.imports.choosing import (
-    Chosen,
-    check_scales,
-    choose,
-    detected_places,
-)
+from cell.study.imports.choosing import Chosen, check_scales, choose, detected_places
 from cell.study.imports.clamp_angle import clamp_angle, stated_angle
 from cell.study.imports.column_names import ColumnKind, Meaning, is_of_wrench
 from cell.study.imports.contents import Contents, Point, contents, on_one_clock
@@ -135,7 +130,7 @@ def _proposed(
         first.capture, inside, chosen.gripper, chosen.markers, stated.rate_hz
     )
     findings.insert(0, finding)
-    times_s(first.capture, time)  # is it in order?
+    times_s(first.capture, time)  # raises if its rows are in disorder
     start = chosen.gripper or _clamp(first.capture, chosen, gripper, stated, findings)
     points = [*([start] if start else []), *chosen.markers]
     raw = detected_points(first.capture, points, chosen)
@@ -149,7 +144,7 @@ def _proposed(
     axes, of_axes = find_axes(raw, shape, shapes_of(trials[1:], points, chosen))
     findings += [_of_image(finding, axes, raw), *of_axes]
     scene = scene_of(raw, axes, scale or 1.0, rest, start is not None)
-    measured = measured_arcs(first.capture, chosen.markers, stated)
+    measured = measured_arcs(first.capture, chosen.markers, stated, scene, scale is not None)
     arcs = arcs_of(scene, chosen, stated, scale is not None, measured, findings)
     stds = arc_stds(scene, stated, arcs, measured, findings)
     at_ends, *others = root_ends(trials, points, chosen, axes, arcs)

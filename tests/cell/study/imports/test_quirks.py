@@ -221,6 +221,8 @@ def test_arc_lengths_are_the_stated_ones(arcs: str, tmp_path: Path) -> None:
         ("0.02,0.04,0.06,0.1", "has 4 values, but 5 markers are found; give one for each, 0 for"),
         ("0.02,0.06,0.1", "has 3 values, but 5 markers are found"),
         ("", "does not rise"),
+        ("0.02,0.04,nan,0.08,0.1", "does not rise"),
+        ("0.02,0.04,0.06,0.08,inf", "does not rise"),
         ("0.1,0.08,0.06,0.04,0.02", "does not rise from the gripper to the tip; order"),
         ("20,40,60,80,100", "puts marker 5 from the gripper at 100 m, yet on the curve"),
         ("0.02,0.055,0.06,0.08,0.1", "puts marker 2 from the gripper at 0.055 m, yet"),
@@ -235,18 +237,32 @@ def test_arc_lengths_that_the_markers_contradict_are_refused(
     assert not (tmp_path / "s").exists()
 
 
-def test_a_column_with_one_value_for_each_point_holds_arc_lengths(tmp_path: Path) -> None:
+def _long_table(folder: Path, name: str, factor: float = 1.0) -> Path:
+    """Rows of points with a column of their arc lengths, mm, times a factor."""
     m = made()
     points = [("hand", 0.0, m.gripper_m)]
     points += [
         (n, s, m.markers_m[:, k]) for k, (n, s) in enumerate(zip(NAMES, ARCS_M, strict=True))
     ]
-    rows = [[f"{t:.6f}", name, f"{1e3 * arc:g}", f"{x:.7f}", f"{y:.7f}"]
-            for k, t in enumerate(m.t_s) for name, arc, xy in points
+    rows = [[f"{t:.6f}", point, f"{1e3 * factor * arc:g}", f"{x:.7f}", f"{y:.7f}"]
+            for k, t in enumerate(m.t_s) for point, arc, xy in points
             for x, y in [1e3 * xy[k]]]  # fmt: skip
-    head = ["t_s", "point", "along_mm", "x_mm", "y_mm"]
-    file = saved(tmp_path / "a.csv", text([head, *rows]))
+    return saved(folder / "a.csv", text([["t_s", "point", name, "x_mm", "y_mm"], *rows]))
+
+
+def test_a_column_with_one_value_for_each_point_holds_arc_lengths(tmp_path: Path) -> None:
+    file = _long_table(tmp_path, "along_mm")
     told = run(file, "-o", tmp_path / "s", *CABLE, "--clamp-angle", "0.2")
     assert "arc lengths are those of column 'along'" in told
     assert "m1 along" not in told
     assert _arcs_of(tmp_path / "s") == [(pytest.approx(s), None) for s in ARCS_M]
+
+
+@pytest.mark.parametrize(("name", "factor"), [("x0_mm", 1.0), ("along_mm", 0.9), ("along", 1.0)])
+def test_a_column_that_may_be_another_quantity_holds_no_arc_lengths(
+    name: str, factor: float, tmp_path: Path
+) -> None:
+    """Of an axis, against the curve through the markers, or without a unit of length."""
+    file = _long_table(tmp_path, name, factor)
+    told = run(file, "-o", tmp_path / "s", *CABLE, "--clamp-angle", "0.2")
+    assert "arc lengths are those of a curve through the markers" in told

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cell.study.folder import read_study
+from cell.study.imports.contents import contents
 from cell.study.imports.read import read_capture
 
 from .corpus.swing import BACK_M, MARKERS, Swing, known_study
@@ -161,6 +162,18 @@ def test_points_one_after_the_other_in_a_row_and_trials_without_times(tmp_path: 
     study = imported([str(file), "--rate", "200"], tmp_path / "s")
     assert [t.name for t in study.trials] == ["demo_0", "demo_1"]
     check_same(study, *truth, place_m=PLACE_M)
+
+
+@pytest.mark.parametrize("name", ["joint_positions", "qdot", "setpoint", "markers_seen"])
+def test_six_numbers_in_a_row_that_are_no_chain_are_no_points(tmp_path: Path, name: str) -> None:
+    """Joints of an arm that rests at first; the last name has a word of points."""
+    s = known_study()[0]
+    joints = np.array([0.1, -1.5, 1.5, 0.2, 1.6, 0.0]) + np.outer(
+        20.0 * s.gripper_m[:, 1], np.arange(6.0)
+    )
+    arrays = {"time": s.t_s, "gripper": s.gripper_m, name: 30.0 * joints}
+    capture = read_capture(_saved(tmp_path / "t.npz", arrays, []))
+    assert [p.name for p in contents(capture).points] == ["gripper"]
 
 
 @pytest.mark.parametrize("first", ["a_copy", "other_copy"])
