@@ -183,13 +183,20 @@ class CompareResult(Shown):
             for trial, where in zip(c.study.trials, c.where, strict=True)
         ]
 
+    def predicted_m(self, model: int = -1) -> dict[str, FloatArray]:
+        """Markers of each trial as one of the models predicts them: (times, markers, 2), m.
+
+        At the times of `study.trials[…].markers.t_s`, markers in the order of `study.arc_length_m`
+        """
+        return dict(self.comparisons[model].predicted_m)
+
     def residuals_m(self, model: int = -1) -> dict[str, FloatArray]:
         """Measured − predicted of one of the models by trial: (times, markers, 2), m.
 
         nan where a marker was not detected
         """
-        trial = self.comparisons[model]
-        return {t.name: t.markers.xy_m - trial.predicted_m[t.name] for t in trial.study.trials}
+        predicted, trials = self.predicted_m(model), self.comparisons[model].study.trials
+        return {t.name: t.markers.xy_m - predicted[t.name] for t in trials}
 
     def write_residuals(self, folder: Path | str) -> list[Path]:
         """Write residuals as CSV, `MODEL/TRIAL.csv`: t_s, then dx and dy of each marker, m.

@@ -180,7 +180,7 @@ def time_report(stored: StoredCalibration, times: Times, move: DetectedMove) -> 
         return f"{delay.value_s * 1e3:.3f} ± {delay.half_width_s * 1e3:.3f} ms"
 
     rows = [
-        ("camera's stamps late by", words(times.latency), f"{times.latency.rms_m * 1e3:.3f} mm"),
+        ("camera timestamps late by", words(times.latency), f"{times.latency.rms_m * 1e3:.3f} mm"),
         ("arm behind its commands", words(times.lag), f"{times.lag.rms_m * 1e3:.3f} mm"),
     ]
     stamps = move.stamps_s - times.latency.value_s

@@ -203,6 +203,7 @@ def _workshop(
     from cell.files.input_error import InputError
     from cell.settings import load_settings
     from cell.settings.loading import load_product
+    from cell.settings.starting import refuse_examples
 
     progress = working("calibrate")
     config, dialogue = options.config, options.dialogue
@@ -233,6 +234,7 @@ def _workshop(
 
     try:
         settings = load_product(config, product) if gripped else load_settings(config)
+        refuse_examples(settings, config, inserts=False)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
         look = (

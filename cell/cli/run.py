@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cell.cli.progress import RunProgress
     from cell.records.result import Result
     from cell.run.plans import Plan
+    from cell.settings.calibrated import Calibrated
     from cell.settings.model import Settings
 
 app = group()
@@ -164,7 +165,6 @@ def run(options: RunOptions) -> None:
     from cell.cli.progress import RunProgress
     from cell.lab.next.motion_file import load_motion
     from cell.run.plans import INSERTING, measuring
-    from cell.settings.calibrated import calibrated
     from cell.wiring.arm_version import check_arm_version, remember_dry_run
     from cell.wiring.build import emulators_asked_for
     from cell.wiring.ownership import owned
@@ -173,9 +173,7 @@ def run(options: RunOptions) -> None:
     results: list[Result] = []
     with _refusing_first(results):
         products = products_in(options.config, options.product, options.whole_frames)
-        first = _first(products, options)
-        settings = products.default if first is None else products.settings[first]
-        known = products.calibrations[first] if first else calibrated(settings, options.config)
+        first, settings, known = _start(products, options)
         plan = measuring(load_motion(m, settings)) if (m := options.motion) else INSERTING
         to_file(options.out.with_name(f"{options.out.name}.log"))
         with (
@@ -255,6 +253,18 @@ def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
         remedy = "choose another folder with --runs, or make it writable, with room"
         print(f"{error}; {remedy}", file=sys.stderr)
         raise typer.Exit(NOT_ALL_DONE if results else BAD_INPUT) from error
+
+
+def _start(products: Products, options: RunOptions) -> tuple[str | None, Settings, Calibrated]:
+    """First product, its settings and calibration.  Raises InputError: nothing may move yet."""
+    from cell.settings.calibrated import calibrated
+    from cell.settings.starting import refuse_examples
+
+    first = _first(products, options)
+    settings = products.default if first is None else products.settings[first]
+    refuse_examples(settings, options.config, inserts=not options.dry_run)
+    known = products.calibrations[first] if first else calibrated(settings, options.config)
+    return first, settings, known
 
 
 def _first(products: Products, options: RunOptions) -> str | None:

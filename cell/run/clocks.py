@@ -49,7 +49,7 @@ def delay_checks(
     if np.count_nonzero(np.isfinite(detected_m[:, 0])) < LEAST_FRAMES:
         return ()
     changes = (
-        ("camera: stamps late by", latency_change(stamps_s, detected_m, gripper_log)),
+        ("camera: timestamps late by", latency_change(stamps_s, detected_m, gripper_log)),
         ("arm: lag changed by", lag_change(commanded, gripper_log, lag_s)),
     )
     stored = (known.latency_95_s, known.lag_95_s)
@@ -63,5 +63,5 @@ def _check(name: str, delay: Delay, most_s: float, remedy: str) -> AgreementChec
     """Compare a delay with its limit, widened by the half width of its own interval."""
     most_s += delay.half_width_s
     if delay.rms_m > _MOST_MISFIT_M:
-        return AgreementCheck(f"{name}, not told by this motion", delay.value_s, "s")
+        return AgreementCheck(f"{name}, not measurable with this motion", delay.value_s, "s")
     return AgreementCheck(name, delay.value_s, "s", -most_s, most_s, remedy)

@@ -57,11 +57,11 @@ def check_paths(movements: Sequence[Movement], station: Station, findings: Findi
     )
     return _with_checks(
         findings,
-        AgreementCheck("arm: paths within reach", float(len(paths))),
-        AgreementCheck("hand: least x", float(x_m.min()), "m"),
-        AgreementCheck("hand: greatest x", float(x_m.max()), "m"),
-        AgreementCheck("hand: least y", float(y_m.min()), "m"),
-        AgreementCheck("hand: greatest y", float(y_m.max()), "m"),
+        AgreementCheck("arm: paths within limits and reach", float(len(paths))),
+        AgreementCheck("gripper: smallest x", float(x_m.min()), "m"),
+        AgreementCheck("gripper: largest x", float(x_m.max()), "m"),
+        AgreementCheck("gripper: smallest y", float(y_m.min()), "m"),
+        AgreementCheck("gripper: largest y", float(y_m.max()), "m"),
     )
 
 
@@ -162,7 +162,7 @@ def agreement(
     filmed = [f for f in followed if f.film is not None]
     speeds = [float(np.max(_speed_m_per_s(f.gripper_log))) for f in followed]
     return (
-        AgreementCheck("hand: greatest speed", max(speeds, default=0.0), "m/s"),
+        AgreementCheck("gripper: largest speed", max(speeds, default=0.0), "m/s"),
         *_arm(filmed, lag_s),
         *_frames(filmed, frame_rate_hz),
         *_camera(filmed),
@@ -219,7 +219,7 @@ def _frames(filmed: Sequence[RehearsedMotion], frame_rate_hz: float) -> list[Agr
             "shorten the exposure, or lower camera.frame_rate_hz",
         ),
         AgreementCheck(
-            "camera: jaw found in",
+            "camera: jaw detected in",
             float(np.mean(detected)),
             "",
             MIN_DETECTED,
@@ -250,7 +250,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
     residual_m, turn, shift_m = fit(delay_s)
     return [
         AgreementCheck(
-            "camera: stamps late by",
+            "camera: timestamps late by",
             delay_s,
             "s",
             -DELAY_TOLERANCE_S,
@@ -281,7 +281,7 @@ def _camera(filmed: Sequence[RehearsedMotion]) -> list[AgreementCheck]:
             "turn the camera level, or correct arm.plane_x_axis and arm.plane_y_axis",
         ),
         AgreementCheck(
-            "camera: what remains, rms",
+            "camera: residual, rms",
             float(np.sqrt(np.mean(residual_m**2))),
             "m",
             high=PATH_TOLERANCE_M,

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from cell.files.input_error import InputError
-from cell.files.yaml_document import Document, Key, dotted, validate
+from cell.files.yaml_document import Document, Key, dotted, read_yaml, validate
 from cell.settings.model import Settings
 
 CellKind = Literal["simulated", "emulated", "real"]
@@ -122,6 +122,26 @@ def unmeasured(settings: Settings) -> tuple[str, ...]:
     example = Settings.model_validate(answered("real", {}))
     same = (k for k in MEASURED if _entry(settings, k) == _entry(example, k) is not None)
     return tuple(dotted(key) for key in same)
+
+
+def refuse_examples(settings: Settings, config: Path, inserts: bool) -> None:
+    """Refuse to move a real arm whose place, or camera's view, is still that of the example.
+
+    Both are measured at the cell, to parts of a millimetre: two cells never have the same.
+
+    inserts  whether a cable is moved, so that the view decides where its tip is
+    raises   InputError
+    """
+    wanted = ("arm.plane_origin_m", *(("camera.view",) if inserts else ()))
+    if same := [key for key in unmeasured(settings) if key in wanted]:
+        message = "has the value of the example of `cell init --real`; measure that of this cell"
+        file = read_yaml(config)
+        raise InputError(
+            [
+                file.problem(tuple(key.split(".")), f"{message} (`cell help commission`)")
+                for key in same
+            ]
+        )
 
 
 def _entry(settings: Settings, key: Key) -> Any:

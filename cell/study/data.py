@@ -45,6 +45,8 @@ class Source:
 class Markers:
     """Points on the cable: `t_s` (T,), `xy_m` (T, markers, 2), nan where not detected.
 
+    Markers are in the order of the study's `arc_length_m`.
+
     source  None = not read from a file
     """
 
@@ -146,7 +148,7 @@ class Trial:
 class Study:
     """The measurements of one cable.
 
-    arc_length_m  (markers,) from the gripping point
+    arc_length_m  (markers,) from the gripping point; in a study that was read, the largest is first
     notes         sentences on the measurements for readers of results
     filmed        markers are places along a centre line in the cell's pictures; their position
                   along it is no measurement

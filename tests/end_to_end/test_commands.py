@@ -88,6 +88,7 @@ def test_hardware_that_is_not_there_fails_by_name_and_ends_with_1(tmp_path: Path
     assert code == 0 and "arm ur" in out
     absent = tmp_path / "line3.yaml"
     text = line3.read_text(encoding="utf-8").replace("/dev/ttyUSB0", str(tmp_path / "no_port"))
+    text = text.replace("[0.450,", "[0.451,").replace("origin_row_px: 150", "origin_row_px: 151")
     absent.write_text(text, encoding="utf-8")
     code, out, err = said("run", "--config", absent, "--json", "--runs", tmp_path / "runs")
     assert code == 1

@@ -56,9 +56,9 @@ def test_a_cell_in_order_is_rehearsed_and_everything_is_recorded(
     result = dry_runs[speed]
     assert (result.outcome, result.speed, result.fault) == (Outcome.REHEARSED, speed, None)
     assert check(result, "arm: lag") == pytest.approx(0.03, abs=1e-3)
-    assert check(result, "hand: least x") == pytest.approx(-quick.motion.advance_m, abs=1e-4)
+    assert check(result, "gripper: smallest x") == pytest.approx(-quick.motion.advance_m, abs=1e-4)
     deepest_m = quick.motion.lower_m + quick.motion.offsets.last_m
-    assert check(result, "hand: least y") == pytest.approx(-deepest_m, abs=1e-4)
+    assert check(result, "gripper: smallest y") == pytest.approx(-deepest_m, abs=1e-4)
     read = read_record(Path(result.folder))
     assert read.closed and read.result == result and read.study is None
     pictures = sorted(Path(result.folder).glob("*.jpg"))
@@ -76,8 +76,8 @@ def test_a_slow_dry_run_is_slower_by_as_much(
 ) -> None:
     full, slow = dry_runs[1.0], dry_runs[0.3]
     allowed = quick.motion.lowering.velocity_m_per_s
-    assert 0.3 * allowed < check(full, "hand: greatest speed") < 1.02 * allowed
-    assert check(slow, "hand: greatest speed") < 0.3 * 1.02 * allowed
+    assert 0.3 * allowed < check(full, "gripper: largest speed") < 1.02 * allowed
+    assert check(slow, "gripper: largest speed") < 0.3 * 1.02 * allowed
     rests_s = 2 * (SETTLING_LAGS * 0.03 + POLL_S)  # twice it waits for the arm to rest
     moves_s = full.seconds["go_home"] - rests_s
     assert slow.seconds["go_home"] - rests_s == pytest.approx(moves_s / 0.3, rel=0.03)
@@ -164,8 +164,8 @@ def test_what_is_not_right_makes_the_cell_unfit_and_names_the_remedy(
     result = cell.run_cycle(1, cell.rehearsal(INSERTING, 1.0))
     assert result.outcome is Outcome.UNFIT
     remedies = {c.what: c.remedy for c in result.checks if not c.right}
-    assert set(remedies) == {"arm: lag", "camera: stamps late by"}
-    assert "0.045" in remedies["arm: lag"] and "0.007" in remedies["camera: stamps late by"]
+    assert set(remedies) == {"arm: lag", "camera: timestamps late by"}
+    assert "0.045" in remedies["arm: lag"] and "0.007" in remedies["camera: timestamps late by"]
     assert result.reason is not None and "arm: lag" in result.reason
 
 

@@ -79,5 +79,5 @@ def test_a_dry_run_finds_arm_and_camera_in_order(config: Path, tmp_path: Path) -
     result = json.loads(done.stdout) if done.stdout else {}
     assert result.get("outcome") == "rehearsed", f"{result.get('reason')} {done.stderr}"
     found = {check["what"]: check["found"] for check in result["checks"]}
-    assert found["camera: jaw found in"] > 0.95
-    assert found["hand: greatest speed"] == pytest.approx(0.24, abs=0.02)
+    assert found["camera: jaw detected in"] > 0.95
+    assert found["gripper: largest speed"] == pytest.approx(0.24, abs=0.02)

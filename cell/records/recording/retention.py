@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from datetime import time as time_of_day
 from enum import IntEnum
+from itertools import islice
 from pathlib import Path
 
 from cell.files.atomic import free_bytes, write_atomic
@@ -215,14 +216,16 @@ class RecordingRoom:
 
 
 def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> RecordingRoom:
-    """How many recordings fit into the folder of the records.
+    """How many recordings fit into the folder of the records, by those of whole insertions.
 
     pixels  of a frame
     """
-    files = sorted(runs.glob(f"*/{form.FILE}"), key=_status_of)[-_NEWEST:] if runs.is_dir() else []
-    sizes = [size for path in files if (size := _status_of(path)[1])]
+    files = sorted(runs.glob(f"*/{form.FILE}"), key=_status_of) if runs.is_dir() else []
+    whole = ((path, _cycle_s(path.parent)) for path in reversed(files))
+    newest = list(islice(((path, s) for path, s in whole if s is not None), _NEWEST))
+    sizes = [size for path, _ in newest if (size := _status_of(path)[1])]
     usual = _FRAMES * pixels * (_OF_WHOLE if wanted.whole_frames else _OF_BAND)
-    times = [s for path in files if (s := _cycle_s(path.parent)) is not None]
+    times = [s for _, s in newest]
     used = sum(_status_of(path)[1] for name in _NAMES for path in runs.glob(f"*/{name}"))
     limit_bytes = None if wanted.max_size_gb is None else wanted.max_size_gb * 1e9
     on_disk = max(0.0, free_bytes(runs) + used - wanted.min_free_gb * 1e9)
@@ -235,9 +238,12 @@ def recording_room(runs: Path, wanted: RecordingSettings, pixels: int) -> Record
 
 
 def _cycle_s(folder: Path) -> float | None:
-    """Duration of a cycle, by its result; None = it is not known."""
+    """Duration of a cycle that was executed to its end; None = it was not, or is not known."""
     try:
-        return float(sum(known_json(folder / "result.json")["seconds"].values()))
+        result = known_json(folder / "result.json")
+        if result["outcome"] not in (Outcome.INSERTED, Outcome.MISSED, Outcome.MEASURED):
+            return None
+        return float(sum(result["seconds"].values()))
     except (KeyError, TypeError, AttributeError):
         return None
 

@@ -181,7 +181,13 @@ def test_residuals_are_arrays_and_tables(folder: Path, tmp_path: Path) -> None:
     left = tmp_path / "left"
     asked = ["compare", str(folder), "--model", str(model), "--residuals", str(left)]
     run_cell(*asked)
-    residuals = cell.compare(folder, [model]).residuals_m()
+    compared = cell.compare(folder, [model])
+    residuals, predicted = compared.residuals_m(), compared.predicted_m()
+    study = cell.read_study(folder)
+    assert study.arc_length_m[0] == study.arc_length_m.max()
+    for trial in study.trials:
+        measured_m = predicted[trial.name] + residuals[trial.name]
+        np.testing.assert_allclose(measured_m, trial.markers.xy_m, atol=1e-12)
     for name, left_m in residuals.items():
         with (left / "model" / f"{name}.csv").open() as file:
             heads, *rows = csv.reader(file)

@@ -127,7 +127,7 @@ def test_without_a_grip_the_cell_says_so(folder, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"late_s": 0.023}, r"camera: stamps late by \+3\.0\d ms since it was calibrated"),
+        ({"late_s": 0.023}, r"camera: timestamps late by \+3\.0\d ms since it was calibrated"),
         ({"lag_s": 0.037}, r"arm: lag changed by \+[23]\.\d\d ms since it was calibrated"),
     ],
 )
@@ -147,7 +147,7 @@ def test_a_run_with_delays_as_calibrated_records_them(folder, tmp_path):
     code, out, _ = called("run", "--config", folder / "cell.yaml", "--runs", tmp_path, "--json")
     late, lag = json.loads(out)["checks"]
     assert code == 0
-    assert (late["what"], lag["what"]) == ("camera: stamps late by", "arm: lag changed by")
+    assert (late["what"], lag["what"]) == ("camera: timestamps late by", "arm: lag changed by")
     assert max(abs(late["found"]), abs(lag["found"])) < 2e-4
 
 

@@ -56,5 +56,5 @@ def test_a_jaw_that_is_hardly_seen_says_nothing():
 def test_a_map_that_is_wrong_is_not_taken_for_a_delay():
     late, lag = checks(stretched=1.1)
     assert late.right
-    assert late.what.endswith("not told by this motion")
+    assert late.what.endswith("not measurable with this motion")
     assert lag.high is not None

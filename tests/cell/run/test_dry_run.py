@@ -86,17 +86,17 @@ def wrong(found: dict[str, AgreementCheck]) -> set[str]:
 def test_a_cell_in_order_is_right_at_any_speed(speed: float) -> None:
     found = checks(speed)
     assert wrong(found) == set()
-    assert found["camera: jaw found in"].found == 1.0
+    assert found["camera: jaw detected in"].found == 1.0
     fastest = 0.465 if speed == 1.0 else 0.05
-    assert found["hand: greatest speed"].found <= fastest
+    assert found["gripper: largest speed"].found <= fastest
 
 
 FAULTS = {
     "arm: lag": ({"lag_s": 0.05}, 0.05, "set arm.lag_s to 0.050"),
     "arm: off its path": ({"bulge_m": 0.001}, 0.001, "arm.gain"),
     "camera: frame rate": ({"frame_hz": 150.0}, 150.0, "camera.frame_rate_hz"),
-    "camera: jaw found in": ({"unseen": 0.5}, 0.5, "look at the pictures"),
-    "camera: stamps late by": ({"late_s": 0.012}, 0.012, "add 0.01"),
+    "camera: jaw detected in": ({"unseen": 0.5}, 0.5, "look at the pictures"),
+    "camera: timestamps late by": ({"late_s": 0.012}, 0.012, "add 0.01"),
     "camera: jaw away from the arm": ({"beside_m": 0.003 - 0.004j}, 0.005, "by 3.0, -4.0 mm"),
     "camera: scale": ({"scale": 1.02}, 1.02, "metres_per_pixel by 1.02"),
     "camera: direction": ({"turned_rad": 0.01}, 0.01, "turn the camera level"),
@@ -114,7 +114,7 @@ def test_each_fault_is_found_by_name_and_size_and_alone(what: str, speed: float)
 
 
 def test_a_camera_that_is_not_square_leaves_something_over() -> None:
-    assert "camera: what remains, rms" in wrong(checks(bent=0.8))
+    assert "camera: residual, rms" in wrong(checks(bent=0.8))
 
 
 @settings(max_examples=10, deadline=None, phases=(Phase.explicit, Phase.generate))
@@ -129,7 +129,7 @@ def test_all_of_them_together_are_told_apart(
         seed=seed, lag_s=lag_s, late_s=late_s, scale=scale, turned_rad=turned_rad, beside_m=beside_m
     )
     assert found["arm: lag"].found == pytest.approx(lag_s, abs=5e-4)
-    assert found["camera: stamps late by"].found == pytest.approx(late_s, abs=5e-4)
+    assert found["camera: timestamps late by"].found == pytest.approx(late_s, abs=5e-4)
     assert found["camera: scale"].found == pytest.approx(scale, abs=1e-3)
     assert found["camera: direction"].found == pytest.approx(turned_rad, abs=1e-3)
     assert found["camera: jaw away from the arm"].found == pytest.approx(abs(beside_m), abs=1e-4)
@@ -137,5 +137,5 @@ def test_all_of_them_together_are_told_apart(
 
 def test_a_jaw_that_is_never_found_says_so_and_no_more() -> None:
     found = checks(unseen=1.0)
-    assert wrong(found) == {"camera: jaw found in"}
+    assert wrong(found) == {"camera: jaw detected in"}
     assert "camera: scale" not in found

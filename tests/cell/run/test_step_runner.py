@@ -16,7 +16,7 @@ from cell.run.plans import CHECK_CLOCKS
 from cell.run.step_runner import StepRunner
 
 LATE, LAG = (
-    AgreementCheck("camera: stamps late by", 0.0, "s", -1e-3, 1e-3),
+    AgreementCheck("camera: timestamps late by", 0.0, "s", -1e-3, 1e-3),
     AgreementCheck("arm: lag", 0.0, "s"),
 )
 KNOWN = CalibratedDelays(1e-4, 2e-4, 1e-3, "run `cell calibrate time`")

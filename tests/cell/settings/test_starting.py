@@ -69,3 +69,27 @@ def test_check_names_them() -> None:
         done.stderr
     )
     assert "arm.plane_origin_m, camera.view; measure them (`cell help commission`)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "named"),
+    [
+        (["run"], ["arm.plane_origin_m", "camera.view"]),
+        (["run", "--dry-run", "--speed", "0.1"], ["arm.plane_origin_m"]),
+        (["calibrate", "cell"], ["arm.plane_origin_m"]),
+    ],
+)
+def test_an_arm_whose_place_is_the_examples_does_not_move(
+    command: list[str], named: list[str], tmp_path: Path
+) -> None:
+    config = CONFIG / "line3.yaml"
+    lines = config.read_text("utf-8").splitlines()
+    records = ["--runs", str(tmp_path / "runs")] if command[0] == "run" else []
+    done = CliRunner().invoke(app, [*command, "--config", str(config), *records])
+    assert done.exit_code == 2 and not (tmp_path / "runs").exists()
+    complaints = [line for line in done.stderr.splitlines() if "line3.yaml:" in line]
+    assert len(complaints) == len(named)
+    for key, complaint in zip(named, complaints, strict=True):
+        line = next(i for i, text in enumerate(lines, 1) if key.split(".")[1] in text)
+        assert f"line3.yaml:{line}:3: {key}: has the value of the example" in complaint
+        assert "measure that of this cell (`cell help commission`)" in complaint

@@ -202,6 +202,12 @@ def test_the_room_for_recordings_is_told_by_those_that_are_there(tmp_path, monke
     for folder in tmp_path.iterdir():
         said = {"outcome": "inserted", "seconds": {"lower": 4.0, "execute": 5.0}}
         (folder / "result.json").write_text(json.dumps(said))
+    for cycle, outcome in enumerate(("failed", "rehearsed", "rejected"), 3):  # other lengths
+        cycles(tmp_path, {cycle: outcome}, datetime.now())
+        for folder in tmp_path.glob(f"*-{cycle}"):
+            said = {"outcome": outcome, "seconds": {"connect": 99.0}}
+            (folder / "result.json").write_text(json.dumps(said))
+            (folder / form.FILE).write_bytes(b"")
     there = recording_room(tmp_path, wanted, pixels)
     assert (there.cycle_bytes, there.cycle_s, there.cycles) == (1000, 9.0, 2_000_000)
     assert there.hours == pytest.approx(5000.0)
