@@ -63,17 +63,18 @@ compiled-tests: $(VENV)/.dev   # to bytecode, once: all processes of the tests b
 	@$(BIN)/pytest -q --collect-only > /dev/null || true  # what is wrong the tests say themselves
 
 tests: tests-real-time   # nothing computes beside what runs in real time
-	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time'  # many tests wait
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not real_time' || $(ALONE) -m 'not real_time'  # many tests wait
 
 # A part of its own, for who works on the lab; it takes the processor's spare time.
 COMPUTING := tests/cell/lab
 
+# What fails beside other tests runs once more, alone and by name: a slow computer serves only one.
+ALONE = $(BIN)/pytest -v --last-failed --last-failed-no-failures none
+
 # A camera, an arm's process or a serial line that is not served for 40 ms is lost.
-# What fails beside another such test runs once more, alone: a slow computer may serve only one.
 REAL_TIME := -m real_time tests/end_to_end tests/drivers
 tests-real-time: $(VENV)/.dev
-	$(BIN)/pytest -n 2 --dist loadfile $(REAL_TIME) \
-		|| $(BIN)/pytest --last-failed --last-failed-no-failures none $(REAL_TIME)
+	$(BIN)/pytest -n 2 --dist loadfile $(REAL_TIME) || $(ALONE) $(REAL_TIME)
 
 tests-computing: $(VENV)/.dev
 	$(BIN)/pytest -n 2 --dist worksteal --spare-time $(COMPUTING)

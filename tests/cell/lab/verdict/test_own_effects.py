@@ -202,10 +202,16 @@ def test_two_effects_of_one_name_are_refused(folder, effect_file, tmp_path, comm
     assert "air_drag" in done.output
 
 
-def test_what_an_own_effect_prints_is_no_part_of_the_json(folder, tmp_path):
+def test_what_an_own_effect_prints_is_no_part_of_the_json(folder, tmp_path, capfd):
+    """Neither what its law prints nor what its file does; a law that prints is not compiled."""
     path = tmp_path / "pull.py"
-    path.write_text(PULL.replace("        return", "        print('hello')\n        return"))
-    for command in (["fit", "--with"], ["diagnose", "--try"]):
-        done = run_cell(command[0], folder, *command[1:], path, "--json")
-        assert json.loads(done.stdout)["format"]
-        assert "hello" in done.stderr
+    in_law = PULL.replace("        return", "        print('hello')\n        return")
+    in_file = f"{PULL}\nprint('hello')\n"
+    for text, command in (
+        (in_law, ["effects", "--try", path]),
+        (in_file, ["diagnose", folder, "--try", path]),
+    ):
+        path.write_text(text)
+        done = run_cell(*command, "--json")
+        assert json.loads(done.stdout)
+        assert "hello" in done.stderr + capfd.readouterr().err, command
