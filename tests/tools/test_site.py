@@ -14,7 +14,7 @@ import cell
 from cell.cli import app
 from cell.settings.entries import entries
 from tools.site import references
-from tools.site.build import DOCS, prepared
+from tools.site.build import DOCS, notebook_page, prepared
 
 
 def test_every_command_and_option_is_in_the_reference() -> None:
@@ -72,6 +72,7 @@ def test_every_warning_that_the_lab_gives_is_listed() -> None:
         ("[a](#here)", "[a](#here)"),
         ("[`a`](../../config/fake.yaml)", "`a`"),
         ("![a](../images/cycle.jpg)", "![a](../images/cycle.jpg)"),
+        ("[a](../start/notebook.ipynb)", "[a](../start/notebook.md)"),
         ("[a](https://example.org/b.md)", "[a](https://example.org/b.md)"),
     ],
 )
@@ -84,3 +85,10 @@ def test_a_reference_takes_the_place_of_its_comment() -> None:
     made = prepared(DOCS / "a.md", text)
     assert made.startswith("# A\n\n## Of a diagnosis") and made.endswith("\n\nafter\n")
     assert "not here" not in made
+
+
+def test_the_notebook_is_a_page_with_code_and_results() -> None:
+    page = notebook_page(DOCS / "start" / "notebook.ipynb")
+    assert page.startswith("# The model lab in a notebook\n")
+    assert "```python\nfrom pathlib import Path\n" in page
+    assert "```text\n" in page and "<div" not in page

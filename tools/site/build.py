@@ -3,13 +3,15 @@
     python -m tools.site.build [-o cell/manual]
 
 Pages are those of docs.  Text between `<!-- generated: commands -->` and `<!-- end -->` is replaced
-by that reference (`references.py`); a link to a file outside docs is replaced by its text.
+by that reference (`references.py`); a link to a file outside docs is replaced by its text.  A
+notebook becomes a page: its text, code and printed results.
 Warnings, dead links among them, are errors.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 import tempfile
@@ -56,10 +58,24 @@ def prepared(page: Path, text: str) -> str:
         if image or re.match(r"[a-z]+:|#", target):
             return match[0]
         path = (page.parent / target.partition("#")[0]).resolve()
-        return match[0] if path.is_relative_to(DOCS.resolve()) and path.suffix == ".md" else shown
+        if not path.is_relative_to(DOCS.resolve()) or path.suffix not in (".md", ".ipynb"):
+            return shown
+        return match[0].replace(".ipynb)", ".md)")
 
     text = _GENERATED.sub(lambda match: REFERENCES[match[1]](), text)
     return _LINK.sub(link, text)
+
+
+def notebook_page(notebook: Path) -> str:
+    """A notebook as the text of a page: its prose, code and printed results."""
+    parts = []
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", ()):
+            printed = output.get("text") or output.get("data", {}).get("text/plain", ())
+            parts.append(f"```text\n{''.join(printed)}\n```")
+    return "\n\n".join(parts) + "\n"
 
 
 def build(target: Path, folder: Path) -> int:
@@ -69,6 +85,9 @@ def build(target: Path, folder: Path) -> int:
     """
     source, html = folder / "docs", folder / "html"
     shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("*.ipynb", "*.csv"))
+    for notebook in DOCS.rglob("*.ipynb"):
+        page = (source / notebook.relative_to(DOCS)).with_suffix(".md")
+        page.write_text(notebook_page(notebook), encoding="utf-8")
     for page in source.rglob("*.md"):
         original = DOCS / page.relative_to(source)
         text = prepared(original, page.read_text(encoding="utf-8"))
