@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 #: Parts of the manual in the order of its navigation: caption, pages without suffix.
 PARTS = {
-    "Start": ("start/*",),
+    "Start": ("start/simulated_cell", "start/own_measurements", "start/*"),
     "How to": (
         *("howto/commission", "howto/calibrate", "howto/shift", "howto/pages"),
         *("howto/recordings", "howto/insertion", "howto/lab", "howto/import", "howto/*"),
@@ -73,8 +73,10 @@ def notebook_page(notebook: Path) -> str:
         source = "".join(cell["source"])
         parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
         for output in cell.get("outputs", ()):
-            printed = output.get("text") or output.get("data", {}).get("text/plain", ())
-            parts.append(f"```text\n{''.join(printed)}\n```")
+            data = output.get("data", {})
+            kind = "{raw} html" if "text/html" in data else "text"
+            shown = data.get("text/html") or output.get("text") or data.get("text/plain", ())
+            parts.append(f"```{kind}\n{''.join(shown)}\n```")
     return "\n\n".join(parts) + "\n"
 
 
