@@ -207,3 +207,24 @@ def test_a_halted_cell_is_seen_and_obeys_nothing_that_it_gets_late(
     screen.reaches("No cell runs")
     sending.join(60.0)
     assert [a.wrong for a in answered] == ["asked_s"]
+
+
+def test_a_page_is_connecting_until_it_had_a_connection_or_time_for_it(
+    browser: Any,  # noqa: F811
+    cell: Process,
+    served: tuple[Process, int],
+) -> None:
+    """A page that opened slowly on a busy computer began with the alarm of a lost connection."""
+    screen, lost = Screen(browser), {"urls": ["*_nicegui_ws*"]}
+    browser.execute_cdp_cmd("Network.enable", {})
+    browser.execute_cdp_cmd("Network.setBlockedURLs", lost)
+    try:
+        browser.get(f"http://127.0.0.1:{served[1]}/")
+        seen = screen.is_unknown_within(4.0)
+        assert seen["plate"] == "Connecting …" and not seen["pressed"]
+        wait_until(lambda: "No connection" in screen.seen()["plate"])
+        assert "State unknown since" in screen.seen()["plate"]
+    finally:
+        browser.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
+    browser.get(f"http://127.0.0.1:{served[1]}/")
+    screen.reaches("Idle")
