@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 _PRIORITY = 8
 _LEAST_PERIODS = 3.0  # of silence before a camera is lost
 _WAKING_S = 0.002
-_LOST_REMEDY = "check the camera's cable and power, then connect again"
+_LOST_REMEDY = "check the camera's cable and power, then reset"
 
 
 class FrameSource(Protocol):

@@ -92,7 +92,7 @@ class _GenicamSource:
             raise DeviceLostError(
                 self._device,
                 f"{type(error).__name__}: {error}",
-                "check the camera's cable and power, then connect again",
+                "check the camera's cable and power, then reset",
             ) from error
 
     def close(self) -> None:
@@ -205,7 +205,7 @@ class _GenicamSource:
                 self._device,
                 f"a {component.data_format} picture of shape {actual} came, {_PIXELS} of {shape} "
                 "expected",
-                "connect again",
+                "check the camera's resolution, then reset",
             )
         # a copy, as the buffer goes back to the camera
         image: Image = np.array(component.data, dtype=np.uint8).reshape(shape)

@@ -79,7 +79,7 @@ _REMEDIES = {
     ArmMode.LOCAL_CONTROL: "switch the pendant to remote control, then reset",
     ArmMode.REDUCED_SPEED: "set the speed slider to 100 % at the pendant, then reset; for slow "
     "motions use `cell run --dry-run --speed`",
-    ArmMode.LOST: "check the controller's power and network, then connect again",
+    ArmMode.LOST: "check the controller's power and network, then reset",
 }
 
 

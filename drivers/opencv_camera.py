@@ -89,7 +89,7 @@ class _OpenCvSource:
             raise DeviceLostError(
                 self._device,
                 "the stream of pictures ended",
-                "check the camera's cable and power, then connect again",
+                "check the camera's cable and power, then reset",
             )
         stamp_s = self._stamp_s()
         if picture is None and wanted():
@@ -181,7 +181,7 @@ class _OpenCvSource:
             raise CameraError(
                 self._device,
                 f"a picture of shape {picture.shape} came, {self._shape} expected",
-                "connect again",
+                "check the camera's resolution, then reset",
             )
         return image
 

@@ -22,7 +22,7 @@ T = TypeVar("T")
 _COMMAND, _STATUS = 0x3E8, 0x7D0
 #: Errors of a lost line: pyserial's own, and one that it does not catch.
 _LINE_ERRORS = (OSError, termios.error)
-_LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then connect again"
+_LOST_REMEDY = "check the gripper's cable, power, address and baud rate, then reset"
 
 
 @dataclass(frozen=True)

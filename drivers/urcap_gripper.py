@@ -19,7 +19,7 @@ from drivers.robotiq_gripper import GripperAction, GripperStatus, RobotiqGripper
 _CONNECT_S = 2.0
 _LOST_REMEDY = (
     "check the gripper's cable at the tool flange, the controller's network, and that Robotiq's "
-    "URCap is installed and has found the gripper, then connect again"
+    "URCap is installed and has found the gripper, then reset"
 )
 
 

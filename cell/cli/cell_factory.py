@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
@@ -227,10 +228,16 @@ class PlantEnd:
         with closing(self._adapters(config)) as adapters, link, ended:
             adapters.start()
             try:
-                service.run(tell)
+                service.run(tell, self._tell_ready)
             except KeyboardInterrupt:
                 return stopped
         return False
+
+    def _tell_ready(self) -> None:
+        command = "cell send start"
+        if self._runs.resolve() != Path("runs").resolve():
+            command += f" --runs {self._runs}"
+        print(f"idle: waits for start (`{command}`, or Start on the page)", file=sys.stderr)
 
     def _adapters(self, config: Path) -> Adapters:
         names = () if self._settings.plant is None else self._settings.plant.start

@@ -243,8 +243,14 @@ def shifts_parts(shifts: Sequence[Shift]) -> list[Part]:
     return parts
 
 
-def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
-    """One row per cause of lost time, the longest first; and where all planned time went."""
+def losses_parts(
+    shifts: Sequence[ShiftLosses], begins: Sequence[str], *, chosen: bool
+) -> list[Part]:
+    """One row per cause of lost time, the longest first; and where all planned time went.
+
+    begins  local times at which shifts begin
+    chosen  whether the settings name them: else they are the default
+    """
     if not shifts:
         return ["no shift in which the cell ran"]
     planned_min = sum(minutes_in(s.planned) for s in shifts)
@@ -268,12 +274,16 @@ def losses_parts(shifts: Sequence[ShiftLosses]) -> list[Part]:
     ]
     means = ["code", "failures", "MTBF, min", "MTTR, min"]
     inserted = sum(s.inserted for s in shifts)
+    first, last = (t.astimezone() for t in (shifts[0].begin, max(s.end for s in shifts)))
+    source = "`ledger.shifts`" if chosen else "default of `ledger.shifts`"
     return [
         TableData("lost time", heads, rows, (1, 2, 3)),
         *([TableData("failures", means, failures, (1, 2, 3))] if failures else []),
         f"{planned_min:.1f} min planned in {counted(len(shifts), 'shift')}: "
         f"{productive_min:.1f} min of inserted cables ({inserted}), "
         f"{planned_min - productive_min:.1f} min lost",
+        f"shifts from {', '.join(begins)} ({source}); these are from {first:%Y-%m-%d %H:%M} to "
+        f"{last:%Y-%m-%d %H:%M}",
     ]
 
 

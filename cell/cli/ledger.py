@@ -211,7 +211,9 @@ def _answer(
                 learned = read_forecasts(options.candidate, settings, ledger)
             ideal_s = section.ideal_cycle_s
             losses = shift_losses(ledger, wanted, begins, now, ideal_s, candidate=learned)
-            return [s.to_json() for s in losses], losses_parts(losses)
+            chosen = "shifts" in section.model_fields_set
+            parts = losses_parts(losses, section.shifts, chosen=chosen)
+            return [s.to_json() for s in losses], parts
         listed_shifts = shifts(ledger, wanted, begins, now, section.ideal_cycle_s)
         return [s.to_json() for s in listed_shifts], shifts_parts(listed_shifts)
     most = options.most if options.as_json else options.most or _SHOWN

@@ -220,7 +220,7 @@ def _lines(status: Status) -> list[str]:
     counts = ", ".join(f"{number} {outcome}" for outcome, number in status.counts.items())
     lines = [
         f"{status.line}: {status.state.value}{step}",
-        f"cycle {status.cycle}{part}{product}; {counts or 'no cable yet'}",
+        f"cycle {status.cycle}{part}{product}; in this run: {counts or 'no cable yet'}",
     ]
     if status.waiting_for:
         lines.append(f"waits for {', '.join(status.waiting_for)}")

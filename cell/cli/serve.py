@@ -55,7 +55,8 @@ def serve(options: ServeOptions) -> None:
     """Serve the pages of a cell for browsers, until Ctrl-C.
 
     It is a process of its own beside `cell run`: whatever happens to it, the cell goes on.  On
-    loopback there are no accounts; any other address needs TLS and users.
+    loopback, accounts and TLS are optional: once there are users, everybody logs in.  Any other
+    address needs both.
 
     Exit codes: 0; 2 if the settings or options are wrong, or the address is taken.
     """

@@ -122,23 +122,29 @@ class Reporter:
 LATCHED = INTERRUPTING | PAUSING | frozenset(RESUMING.values())
 
 
-def latch(cell: Cell, request: Request) -> CommandReply:
-    """Latch a command of `LATCHED` for the current cycle, or refuse it.
+def latch(cell: Cell, request: Request, *, unacknowledged: bool = False) -> CommandReply:
+    """Latch a command of `LATCHED` for the current cycle, or refuse it, as `refusal`.
 
     A requested pause that has not begun yet can be cancelled.
     """
     event = request.command
     assert event is not None
     if not (cell.machine.can(event) or cell.commands.resumes(event)):
-        return refusal(cell, event.value)
+        return refusal(cell, event.value, unacknowledged=unacknowledged)
     cell.command(event, " by ".join(filter(None, (request.note or event.value, request.by))))
     return CommandReply(True, cell.machine.state)
 
 
-def refusal(cell: Cell, command: str, why: str = "", wrong: str = "") -> CommandReply:
-    """Reply that refuses a request, with the reason and the commands possible now."""
+def refusal(
+    cell: Cell, command: str, why: str = "", wrong: str = "", *, unacknowledged: bool = False
+) -> CommandReply:
+    """Reply that refuses a request, with the reason and the commands possible now.
+
+    unacknowledged  whether `acknowledge` is among these
+    """
     state = cell.machine.state
-    now = ", ".join(possible_in(state)) or "nothing"
+    acknowledge = ["acknowledge"] if unacknowledged else []
+    now = ", ".join([*acknowledge, *possible_in(state)]) or "nothing"
     because = f": {why}" if why else ""
     return CommandReply(
         False,

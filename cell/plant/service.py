@@ -124,7 +124,7 @@ class Service:
             elif command is not None:
                 if command is MachineEvent.SUSPEND:
                     self._reporter.suspended_for = request.note
-                answer = latch(self._cell, request)
+                answer = latch(self._cell, request, unacknowledged=self._unacknowledged)
                 if command is MachineEvent.ABORT and answer.accepted:
                     answer = self._abort_from_stopped(answer)
             elif request.product is None:
@@ -196,7 +196,7 @@ class Service:
         state = self._cell.machine.state
         if state is CellState.ABORTED:
             return self._transition(request, MachineEvent.CLEAR)
-        if state is not CellState.STOPPED or not self._open:
+        if not self._unacknowledged:
             return self._refused("acknowledge", "there is nothing to acknowledge")
         self._acknowledge(request)
         self._reporter.waiting("reset")
@@ -214,7 +214,13 @@ class Service:
                     _LOG.warning("%s", error)
 
     def _refused(self, command: str, why: str = "", wrong: str = "") -> CommandReply:
-        return refusal(self._cell, command, why, wrong)
+        return refusal(self._cell, command, why, wrong, unacknowledged=self._unacknowledged)
+
+    @property
+    def _unacknowledged(self) -> bool:
+        """Whether a person can acknowledge a fault or a stop now."""
+        state = self._cell.machine.state
+        return state is CellState.ABORTED or (state is CellState.STOPPED and bool(self._open))
 
     def end(self) -> None:
         """End after the cycle under way, or at once if it is paused; safe in a signal's handler."""
@@ -222,17 +228,29 @@ class Service:
 
     # --- the thread that moves the cell -------------------------------------------------------
 
-    def run(self, on_result: Callable[[Result], None]) -> None:
-        """Serve until `end`; `on_result` gets results.  Raises RecordError; KeyboardInterrupt."""
+    def run(
+        self, on_result: Callable[[Result], None], on_ready: Callable[[], None] = lambda: None
+    ) -> None:
+        """Serve until `end`.  Raises RecordError; KeyboardInterrupt.
+
+        on_result  gets results
+        on_ready   called when the cell waits for its first start
+        """
         tending = GuardedThread("tend", self._watchdog_loop, self._watchdog_died)
         tending.start()
         self._watchdog.notifier.ready()
+        told = False
         try:
             while not self._ending.is_set():
                 self._select_product(tell=True)
                 if self._wait_for_operator():
                     continue
-                result = self._prepare() or self._run_next()
+                result = self._prepare()
+                if result is None:
+                    if not told:
+                        on_ready()
+                    told = True
+                    result = self._run_next()
                 if result is not None:
                     self._conclude(result, on_result)
         finally:

@@ -103,8 +103,8 @@ class Guard:
             await self._app(scope, receive, send)
             return
         session = self._session(connection)
-        if status := self._refusal(connection, session):
-            await _refuse(scope, receive, send, status)
+        if refused := self._refusal(connection, session):
+            await _refuse(scope, receive, send, *refused)
             return
         scope.setdefault("state", {})["session"] = session
         body, begun, refusal = _Body(), False, 0
@@ -160,28 +160,31 @@ class Guard:
             return False
         return self._sessions.renewed(session.key, used=False) is None
 
-    def _refusal(self, request: HTTPConnection, session: LoginSession | None) -> int:
-        """Status code of the refusal; 0 = the request is allowed."""
+    def _refusal(
+        self, request: HTTPConnection, session: LoginSession | None
+    ) -> tuple[int, str] | tuple[int] | None:
+        """Status code of the refusal, and its reason if the code has several; None = allowed."""
         scope, headers = request.scope, request.headers
         host = headers.get("host", "")
         if self._sessions is None and not is_loopback(host):
-            return 421
+            return (421,)
         if self._sessions is None and self._has_accounts():
-            return 503
+            return (503,)
         if self._sessions is None and not _is_of_this_user(scope):
-            return 403
+            return 403, _OTHER_USER
         changes = scope["type"] == "websocket" or scope["method"] not in _SAFE
         socket = scope["path"].startswith("/_nicegui_ws")  # by long polling, too
         origin = headers.get("origin")
         if (changes or (socket and origin)) and not same_origin(origin, host, self._secure):
-            return 403
+            return 403, _OTHER_ORIGIN if origin else _NO_ORIGIN
         length = headers.get("content-length", "0")
         if not length.isdigit() or int(length) > MOST_BYTES:
-            return 413
+            return (413,)
         if session is None and scope["path"] != LOGIN:
             plain = scope["type"] == "http" and scope["method"] == "GET"
-            return 303 if plain and not scope["path"].startswith(("/_nicegui", METRICS)) else 401
-        return 0
+            to_login = plain and not scope["path"].startswith(("/_nicegui", METRICS))
+            return (303,) if to_login else (401,)
+        return None
 
     def _has_accounts(self) -> bool:
         """Whether users were added since this server began without; True if unknown."""
@@ -227,12 +230,16 @@ def _is_of_this_user(scope: Scope) -> bool:
 
 _REFUSALS = {
     **{303: "log in", 401: "log in", 413: "too long", 408: "too slow", 421: "not this host"},
-    403: "from another site, or another user's: cell user add makes accounts",
     503: "users were added: start cell serve again, and log in",
 }
+_OTHER_USER = "from a program of another user of this computer: cell user add makes accounts"
+_NO_ORIGIN = "the header Origin is missing: send the address of these pages in it"
+_OTHER_ORIGIN = "the header Origin names another site: send the address of these pages in it"
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, status: int) -> None:
+async def _refuse(
+    scope: Scope, receive: Receive, send: Send, status: int, reason: str = ""
+) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008})
         return
@@ -241,7 +248,7 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int) -> No
         headers["connection"] = "close"
     if status == 303:
         headers["location"] = LOGIN
-    await PlainTextResponse(_REFUSALS[status], status, headers)(scope, receive, send)
+    await PlainTextResponse(reason or _REFUSALS[status], status, headers)(scope, receive, send)
 
 
 #: Time limit for the head of a request after the connection or the last answer, s.

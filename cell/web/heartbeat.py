@@ -21,6 +21,8 @@ from cell.web.wording import Translate
 LOST_S = 1.5
 #: Interval of a page's requests, s; also the time after which one is repeated.
 _EVERY_S, _AGAIN_S = 0.3, 1.0
+#: Time in which a page that was opened may make its first connection, s.
+_OPENING_S = 5.0
 #: Number of stored heartbeats; a page sends requests at most every `_EVERY_S`.
 _KNOWN = 100
 
@@ -47,18 +49,20 @@ class Heartbeats:
 def begin(heartbeats: Heartbeats, t: Translate) -> None:
     """Start the page's heartbeat, and show how old its data are."""
     words = {
+        "opening": t(N_("Connecting …")),
+        "none": t(N_("No connection")),
         "since": t(N_("State unknown since")),
         "lost": t(
             N_("no answer. If it comes late it is refused. Look at the cell, then give it again.")
         ),
     }
-    times = {"LOST": LOST_S, "EVERY": _EVERY_S, "AGAIN": _AGAIN_S}
+    times = {"LOST": LOST_S, "EVERY": _EVERY_S, "AGAIN": _AGAIN_S, "OPENING": _OPENING_S}
     values = {name: f"{1e3 * seconds:g}" for name, seconds in times.items()}
     script = asset("heartbeat.js", WORDS=json.dumps(words), **values)
     ui.add_body_html(f"<script>{script}</script>")
     plate = ui.element("div").classes("no-connection-plate no-data")
     with plate.props("role=alert data-test=unknown"):
-        ui.label(t(N_("No connection"))).classes("state-plate")
+        ui.label().classes("state-plate").props("id=no-connection-word")
         ui.label().classes("text-xl").props("id=no-connection-since")
     ui.label().classes("no-answer-said wrong").props("role=alert id=no-answer data-test=no-answer")
 

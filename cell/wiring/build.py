@@ -194,8 +194,15 @@ def emulating(settings: Settings, config: Path, seed: int) -> Iterator[EmulatedC
     """Run emulators of the devices, at the addresses in the settings.
 
     config  the settings' file
-    raises  InputError: the settings have no section `emulated`, or an emulator does not start
+    raises  InputError: the cell is simulated, or its settings have no section `emulated`; or an
+            emulator does not start
     """
+    if isinstance(settings.arm, device_settings.SimulatedArm):
+        message = (
+            "this cell is simulated and needs no emulators; `cell init --emulated` writes the "
+            "settings of an emulated cell"
+        )
+        raise InputError.at(config, message, key="arm.kind")
     if settings.emulated is None:
         raise InputError.at(config, "is missing; add `emulated: {}`", key="emulated")
     with ExitStack() as stack:

@@ -18,7 +18,7 @@ from drivers.sim.pinhole import Sight
 from drivers.sim.render import LightArray, Patches, Rates, RenderOptions, backdrop, render
 from drivers.sim.world import SimView, SimWorld
 
-_LOST_REMEDY = "check the camera's cable and power, then connect again"
+_LOST_REMEDY = "check the camera's cable and power, then reset"
 
 
 @dataclass(frozen=True)

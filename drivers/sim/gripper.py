@@ -16,7 +16,7 @@ from drivers.interfaces import (
 )
 from drivers.sim.world import SimWorld
 
-_LOST_REMEDY = "check the gripper's cable and power, then connect again"
+_LOST_REMEDY = "check the gripper's cable and power, then reset"
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,9 @@ def test_addresses_that_are_taken_are_named_and_end_with_2(
 
 
 def test_settings_of_real_devices_are_not_emulated(tmp_path: Path) -> None:
+    fake = run("emulate", "--config", CONFIG.with_name("fake.yaml"))
+    assert fake.returncode == 2
+    assert "arm.kind: this cell is simulated and needs no emulators; `cell init" in fake.stderr
     line3 = CONFIG.with_name("line3.yaml")
     done = run("emulate", "--config", line3)
     assert done.returncode == 2

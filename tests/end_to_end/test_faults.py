@@ -84,7 +84,7 @@ def test_a_lost_arm_ends_aborted(live: Live, step: str) -> None:
     result = it.cell.run_cycle(1)
     check_stopped(it, result, step)
     assert result.fault is not None and result.fault.device == "arm"
-    assert "connect again" in result.fault.remedy
+    assert "then reset" in result.fault.remedy
     assert it.cell.machine.state is CellState.ABORTED
     assert read_record(Path(result.folder)).state["arm"] == ArmMode.LOST.value
 

@@ -113,14 +113,17 @@ def test_two_starts_then_an_end_within_the_third_cycle(
     assert run("send", "stop", "-c", tmp_path / "none.yaml").returncode == 2
     made = client.send(Request(MachineEvent.START, "plc", product="x"))
     assert "no products; leave it out" in made.reason
+    assert "; in this run: 2 inserted" in run("status", "--runs", runs).stdout
     shown = json.loads(run("status", "--runs", runs, "--json").stdout)
     assert shown["counts"] == {"inserted": 2}
     assert shown["last"]["part"] == "A-2"
     assert client.send(Request(MachineEvent.START, "plc")).state is CellState.STARTING
     until(client, in_step("lower"))
     process.send_signal(signal.SIGTERM)
-    out, _ = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 0
+    waits = f"idle: waits for start (`cell send start --runs {runs}`, or Start on the page)"
+    assert err.decode().count(waits) == 1
     assert [json.loads(line)["outcome"] for line in out.splitlines()] == ["inserted"] * 3
     assert all(read_record(folder).closed for folder in runs.iterdir())
     assert run("status", "--runs", runs).returncode == 3
@@ -151,7 +154,10 @@ def test_after_a_kill_nothing_moves_until_a_person_says_so(start: Start, tmp_pat
     assert "cycle 1 was not finished" in shown.stdout
     assert status.fault.cause.endswith("not acknowledged either: cycles 1")
     refused = client.send(Request(MachineEvent.START, "plc"))
-    assert "'start' is refused while stopped; possible now: reset, abort" in refused.reason
+    assert (
+        "'start' is refused while stopped; possible now: acknowledge, reset, abort"
+        in refused.reason
+    )
     assert client.status().state is CellState.STOPPED
     assert run("send", "reset", "--by", "Ada", "--note", "looked", "--runs", runs).returncode == 0
     until(client, waits_for("start"))

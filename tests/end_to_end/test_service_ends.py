@@ -164,7 +164,7 @@ def test_a_device_that_fails_in_idle_aborts_and_is_recorded(
         assert (status.fault.cycle, status.fault.step) == (1, "idle")
         assert status.fault.device == "arm"
         refused = client.send(Request(MachineEvent.START, "plc"))
-        assert "possible now: clear" in refused.reason
+        assert "possible now: acknowledge, clear" in refused.reason
         process.kill()
         ended(process)
         process = start(config=light_config)

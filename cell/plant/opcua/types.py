@@ -81,7 +81,9 @@ def _structure(space: AddressSpace, structure: packml.Structure) -> None:
     for title, type_ in structure.fields:
         kind = space.kind(type_)
         rank = kind.dimensions or ua.ValueRank.Scalar
-        definition.Fields.append(ua.StructureField(Name=title, DataType=kind.node, ValueRank=rank))
+        made_field = ua.StructureField(Name=title, DataType=kind.node, ValueRank=rank)
+        made_field.IsOptional = False  # else clients read every field as missing
+        definition.Fields.append(made_field)
     _define(space, node, definition)
     members = [_member(title, type_) for title, type_ in structure.fields]
     made = make_dataclass(structure.name, members, namespace={"data_type": node})

@@ -174,10 +174,8 @@ class Loss:
 
     @property
     def physics(self) -> str:
-        """Text of the share of these cables that a learned model would have inserted."""
-        if self.kind not in (LossKind.REJECTED, LossKind.MISSED):
-            return ""
-        return "with a learned model: cannot tell" if self.passing is None else str(self.passing)
+        """Text of the share of these cables that a learned model would have inserted; may be ""."""
+        return "" if self.passing is None else str(self.passing)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

@@ -2,6 +2,7 @@
   const words = WORDS, key = 'cell-given';
   const now = () => performance.now();
   let asked = -1e9, answered = true, seen = 0, beat = 0, count = 0, lost = false;
+  let since = '';
   document.body.classList.add('unheard');  // what is pressed before the server listens is lost
   let given = [], gone = JSON.parse(sessionStorage.getItem(key) || '[]');
   const keep = () => sessionStorage.setItem(key, JSON.stringify([...gone, ...given]));
@@ -12,12 +13,15 @@
     if (place && place.textContent !== said) place.textContent = said;
   };
   const show = () => {
-    const old = now() - seen > LOST;
-    if (old !== lost && old) {
-      text('no-connection-since', `${words.since} ${clock(Date.now() - (now() - seen))}`);
-    }
+    const old = now() - seen > LOST, opening = !beat && now() < OPENING;
+    if (old && !lost) since = clock(Date.now() - (now() - seen));
     lost = old;
+    if (lost) {
+      text('no-connection-word', opening ? words.opening : words.none);
+      text('no-connection-since', opening ? '' : `${words.since} ${since}`);
+    }
     document.body.classList.toggle('no-connection', lost);
+    document.body.classList.toggle('opening', lost && opening);
     for (const button of document.querySelectorAll('main button, .q-dialog button')) {
       if (lost && !button.disabled) {
         button.disabled = true;

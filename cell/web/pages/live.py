@@ -72,6 +72,8 @@ class _Live:
                 self._cables()
                 if self._visit.has_role(Role.operate):
                     self._commands()
+                else:
+                    ui.label(self._t(N_("You may only watch (role watch).")))
         page, control = self._visit.page, self._visit.room.control
         ui.context.client.on_delete(lambda: control.release(page))
         ui.timer(_EVERY_S, self._update)

@@ -176,6 +176,7 @@ def test_lost_time_is_a_table_and_adds_up(runs: Path) -> None:
     shown = cell(*words).stdout
     assert "not running" in shown
     assert "480.0 min planned in 1 shift" in shown
+    assert "shifts from 06:00, 14:00, 22:00 (default of `ledger.shifts`); these are" in shown
 
 
 def test_a_page_is_said_to_be_written_once_it_is(

@@ -48,9 +48,21 @@ def test_an_abort_in_stopped_is_not_taken_back_by_a_reset(tmp_path: Path, told: 
     aborted = ask(service, MachineEvent.ABORT)
     assert (aborted.accepted, aborted.state) == (True, CellState.ABORTED)
     refused = ask(service, MachineEvent.RESET)
-    assert not refused.accepted and refused.reason.endswith("possible now: clear")
+    assert not refused.accepted and refused.reason.endswith("possible now: acknowledge, clear")
     assert ask(service, MachineEvent.CLEAR).state is CellState.STOPPED
     assert ask(service, MachineEvent.RESET).state is CellState.RESETTING
+
+
+def test_a_refusal_names_acknowledge_while_there_is_something_to_acknowledge(
+    tmp_path: Path, told: Told
+) -> None:
+    runs = tmp_path / "runs"
+    Record(runs, 1, datetime.now(UTC))  # a cycle that was killed
+    service = service_of(runs, told)
+    for command in (MachineEvent.START, MachineEvent.HOLD):
+        assert ask(service, command).reason.endswith("now: acknowledge, reset, abort")
+    assert service.answer(Request(None, "Ada", note="looked")).accepted
+    assert ask(service, MachineEvent.START).reason.endswith("possible now: reset, abort")
 
 
 def test_an_abort_in_stopped_outlives_the_service(tmp_path: Path, told: Told) -> None:

@@ -102,6 +102,25 @@ def test_pages_of_engineers_are_not_built_for_others(served: Served, role: str, 
         assert inside not in shown.text
 
 
+def test_who_may_only_watch_is_told_so_in_place_of_buttons(served: Served) -> None:
+    for role in ("watch", "operate"):
+        shown = served.web.get("/", headers=served.log_in(role)).text
+        assert ("You may only watch" in shown, 'data-test":"start"' in shown) == (
+            role == "watch",
+            role == "operate",
+        )
+
+
+def test_a_refused_origin_is_named(served: Served) -> None:
+    """Curl without the header was told to make accounts, although one existed."""
+    for headers, said in (
+        ({}, "the header Origin is missing: send"),
+        ({"origin": "http://evil.example"}, "the header Origin names another site: send"),
+    ):
+        refused = served.web.post("/login", data={"name": "ada"}, headers=headers)
+        assert refused.status_code == 403 and refused.text.startswith(said)
+
+
 @pytest.mark.parametrize("path", ["/calibration/coverage.png", "/calibration/camera"])
 def test_calibrations_are_read_by_engineers_only(served: Served, path: str) -> None:
     for role, status in (("watch", 403), ("operate", 403), ("engineer", 404)):

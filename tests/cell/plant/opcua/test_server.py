@@ -14,6 +14,7 @@ import pytest
 from asyncua import ua
 
 from cell.plant.messages import CommandReply, MessageKind, Request
+from cell.plant.opcua import packml
 from cell.plant.opcua.commands import COMMANDS
 from cell.plant.opcua.server import _ViewPublisher
 from cell.plant.opcua.unit import tags_of
@@ -142,6 +143,20 @@ def test_every_tag_can_be_read_and_has_the_type_that_it_says(stopped: Site) -> N
             if data.StatusCode.is_good() and rank == -1:
                 type_ = await seen.node(tag.path).read_data_type_as_variant_type()
                 assert data.Value.VariantType == type_, tag.path
+
+    stopped.look(watch)
+
+
+def test_no_field_of_a_structure_is_optional(stopped: Site) -> None:
+    """A client that loaded the definitions read None in every field: asyncua's default."""
+
+    async def watch(seen: Seen) -> None:
+        space = await seen.client.get_namespace_index(packml.URI)
+        for structure in packml.STRUCTURES:
+            node = seen.client.get_node(ua.NodeId(structure.id, space))
+            definition = await node.read_data_type_definition()
+            assert [f.Name for f in definition.Fields] == [name for name, _ in structure.fields]
+            assert not any(f.IsOptional for f in definition.Fields)
 
     stopped.look(watch)
 
