@@ -314,8 +314,10 @@ class SuggestResult(Shown):
     suggestion: Suggestion
 
     def parts(self) -> Sequence[str | TableData]:
-        """The motions, the best first."""
-        return (suggestion_table(self.suggestion),)
+        """What the present trials separate, then the motions, the best first."""
+        suggestion = self.suggestion
+        already = [f"{suggestion.separated_text()}."] if suggestion.separated else []
+        return (*already, suggestion_table(suggestion))
 
     def to_json(self) -> dict[str, Any]:
         """As `cell suggest --json` prints it (cable-suggestion/1)."""

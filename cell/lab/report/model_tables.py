@@ -209,14 +209,17 @@ def suggestion_table(suggestion: Suggestion) -> TableData:
 def _respected_limits(suggestion: Suggestion) -> str:
     """Text: the limits that the motions respect, and the number of motions refused."""
     refused = sum(suggestion.refused.values())
+    low, high = np.degrees(suggestion.surroundings.angle_rad)
+    angles = f"clamp angles from {low:.0f} to {high:.0f}°"
     if suggestion.surroundings.picture_m is None:
         return (
-            "checked only against a box of ±100 mm around home: give --config for the limits, the "
-            "picture and the workpiece of a cell"
+            f"checked only against a box of ±100 mm around home and {angles}: give --config for "
+            "the limits, the picture and the workpiece of a cell; its `limits.angle_rad` narrows "
+            "the angles"
         )
     return (
-        "gripper within its limits, cable and jaw in the picture, cable clear of the workpiece, "
-        f"all including the uncertainty of the cable; {refused} motions refused"
+        f"gripper within its limits, {angles} (`limits.angle_rad`), cable and jaw in the "
+        f"picture, cable clear of the workpiece, all including the uncertainty of the cable; {refused} motions refused"
     )
 
 
