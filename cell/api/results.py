@@ -129,7 +129,8 @@ class FitResult(Shown):
             apart = agreement_sentence(self.agreement), agreement_table(self.agreement)
         error = errors_line(self.prepared, self.candidate.errors)
         knots = knots_lines(self.model.space.knots)
-        return (*warning_lines(self.warnings), error, *knots, model_table(self.model), *apart)
+        table = model_table(self.model, "the fit trials")
+        return (*warning_lines(self.warnings), error, *knots, table, *apart)
 
     def to_json(self) -> dict[str, Any]:
         """As `cell fit -o` writes it (identified-cable/1)."""

@@ -109,9 +109,9 @@ def _no_motion_text(suggestion: Suggestion, prepared: PreparedStudy) -> str:
     already = f"{suggestion.separated_text()}. " if suggestion.separated else ""
     return (
         f"{already}study {prepared.study.name}: no safe motion tells {first} from "
-        f"{' or '.join(rivals)}; the best, {best.motion.describe()}, decides with probability {best.power:.2f} "
-        f"(separation χ² {best.separation:.2g}, {DECIDED:g} are needed). "
-        f"What would help: {'; '.join(helps)}"
+        f"{' or '.join(rivals)}; the best, {best.motion.describe()}, decides "
+        f"with probability {best.power:.2f} (separation χ² {best.separation:.2g}, {DECIDED:g} are "
+        f"needed). What would help: {'; '.join(helps)}"
     )
 
 

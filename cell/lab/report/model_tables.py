@@ -35,15 +35,19 @@ if TYPE_CHECKING:
     from cell.lab.next.motion_file import Suggestion
 
 
-def model_table(model: Identified) -> TableData:
-    """Parameters with 95 % intervals."""
+def model_table(model: Identified, fitted_to: str = "") -> TableData:
+    """Parameters with 95 % intervals.
+
+    fitted_to  the data behind them, for the title
+    """
     low, high = model.interval()
     columns = (model.space.names, model.values, low, high, model.space.units)
     rows = [
         [name, digits(value, 4), digits(lo, 4), digits(hi, 4), unit]
         for name, value, lo, hi, unit in zip(*columns, strict=True)
     ]
-    return TableData("Parameters, 95 % intervals", _INTERVAL_HEADS, rows, (1, 2, 3))
+    title = f"Parameters, 95 % intervals{fitted_to and f', from {fitted_to}'}"
+    return TableData(title, _INTERVAL_HEADS, rows, (1, 2, 3))
 
 
 def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
@@ -219,7 +223,8 @@ def _respected_limits(suggestion: Suggestion) -> str:
         )
     return (
         f"gripper within its limits, {angles} (`limits.angle_rad`), cable and jaw in the "
-        f"picture, cable clear of the workpiece, all including the uncertainty of the cable; {refused} motions refused"
+        f"picture, cable clear of the workpiece, all including the uncertainty of the "
+        f"cable; {refused} motions refused"
     )
 
 
