@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.cable.effects.base import Effect
+from cell.cable.effects.check import passed_checks
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
@@ -71,11 +73,14 @@ def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
             f"The model misses {short(last.fit_rms_m * 1e3)} mm on the motions fitted to"
             f"{beyond if held else ''}; {noise}."
         )
-    before, after = short(first.error_m * 1e3), short(last.error_m * 1e3)
+    errors = [f"{1e3 * c.error_m:#.3g}" for c in comparisons]
+    before, after = errors[0], errors[-1]
     goes = f"{'falls' if last.error_m < first.error_m else 'rises'} from {before} to {after} mm"
     if before == after:
         goes = f"stays at {after} mm"
-    return f"From “{first.model}” to “{last.model}” the error on {where} {goes}; {noise}."
+    between = [f"“{c.model}” {e} mm" for c, e in zip(comparisons, errors, strict=True)][1:-1]
+    among = f" (between them: {', '.join(between)})" if between else ""
+    return f"From “{first.model}” to “{last.model}” the error on {where} {goes}{among}; {noise}."
 
 
 def comparisons_table(comparisons: Sequence[Comparison]) -> TableData:
@@ -149,6 +154,12 @@ def effects_table(library: Mapping[str, type[Effect]]) -> TableData:
         for name, effect in library.items()
     ]
     return TableData("", ["effect", "law", "parameters"], rows)
+
+
+def passed_line(effect: type[Effect]) -> str:
+    """Text: the checks that a user's own effect has passed."""
+    passed = passed_checks(effect)
+    return f"{effect.name}: {counted(len(passed), 'check')} passed: {'; '.join(passed)}"
 
 
 def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]]:

@@ -183,12 +183,15 @@ def test_a_model_that_cannot_be_simulated_where_it_was_not_fitted_has_no_small_e
     lost = replace(sound, fit_rms_m=1e-4, heldout_rms_m=np.inf, model="lost")
     assert lost.error_m == np.inf
     assert lost.removed_share(sound) < 0.0 and sound.removed_share(lost) == 1.0
-    assert "on motions not fitted to rises from 0.50 to inf mm" in comparison_sentence(
+    assert "on motions not fitted to rises from 0.500 to inf mm" in comparison_sentence(
         [sound, lost]
     )
-    assert "on motions not fitted to falls from inf to 0.50 mm" in comparison_sentence(
+    assert "on motions not fitted to falls from inf to 0.500 mm" in comparison_sentence(
         [lost, sound]
     )
+    best = replace(sound, heldout_rms_m=4.9e-5, model="best")
+    said = comparison_sentence([sound, lost, best])
+    assert "falls from 0.500 to 0.0490 mm (between them: “lost” inf mm); the" in said
     assert (mm(np.inf), mm(np.nan)) == ("inf", "–")
     none = replace(sound, heldout_rms_m=np.nan)
     assert none.error_m == 3e-4
