@@ -129,7 +129,8 @@ class FitResult(Shown):
             apart = agreement_sentence(self.agreement), agreement_table(self.agreement)
         error = errors_line(self.prepared, self.candidate.errors)
         knots = knots_lines(self.model.space.knots)
-        return (*warning_lines(self.warnings), error, *knots, model_table(self.model), *apart)
+        table = model_table(self.model, "the fit trials")
+        return (*warning_lines(self.warnings), error, *knots, table, *apart)
 
     def to_json(self) -> dict[str, Any]:
         """As `cell fit -o` writes it (identified-cable/1)."""
@@ -321,8 +322,10 @@ class SuggestResult(Shown):
     suggestion: Suggestion
 
     def parts(self) -> Sequence[str | TableData]:
-        """The motions, the best first."""
-        return (suggestion_table(self.suggestion),)
+        """What the present trials separate, then the motions, the best first."""
+        suggestion = self.suggestion
+        already = [f"{suggestion.separated_text()}."] if suggestion.separated else []
+        return (*already, suggestion_table(suggestion))
 
     def to_json(self) -> dict[str, Any]:
         """As `cell suggest --json` prints it (cable-suggestion/1)."""

@@ -92,10 +92,13 @@ def conditions_table(conditions: Sequence[Condition]) -> TableData:
     return TableData("", ["condition", "here", "needed", ""], rows, colours=colours)
 
 
-def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> TableData:
+def seconds_table(
+    results: Sequence[Result], steps: Sequence[str], *, simulated: bool = False
+) -> TableData:
     """Time of each step: one column per cable, or median and longest of many cables.
 
-    steps  names in the order of the rows; steps that few cables reach stand below
+    steps      names in the order of the rows; steps that few cables reach stand below
+    simulated  whether the times are those of a simulated cell
     """
     many = len(results) > MOST_COLUMNS
     heads = ["median", "longest"] if many else [f"cable {r.cycle}" for r in results]
@@ -115,7 +118,8 @@ def seconds_table(results: Sequence[Result], steps: Sequence[str]) -> TableData:
     if any(r.hold_saved_s for r in results):
         add("hold ended early by", [r.hold_saved_s for r in results])
     columns = range(1, 1 + len(heads))
-    return TableData("seconds per step", ["step", *heads], rows, columns, ends=(last_step,))
+    time = "simulated seconds" if simulated else "seconds"
+    return TableData(f"{time} per step", ["step", *heads], rows, columns, ends=(last_step,))
 
 
 def troubles(results: Sequence[Result]) -> list[str]:

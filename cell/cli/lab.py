@@ -284,13 +284,15 @@ def _diagnose_jointly(options: _Diagnose) -> None:
 def effects(
     effect: Annotated[
         list[str] | None,
-        typer.Option("--try", help="A file.py with an effect of your own, to check and list too."),
+        typer.Option(
+            "--try", help="A file.py with an effect of your own: check and list it, not the others."
+        ),
     ] = None,
     candidates: Annotated[
         Path | None,
         typer.Option(
             "--candidates",
-            help="A folder of files with effects that nobody has read, to check and list too; one "
+            help="A folder of files with effects that nobody has read: check and list these; one "
             "that could do more than compute is not run.",
         ),
     ] = None,
@@ -304,14 +306,17 @@ def effects(
     Exit codes: 0; 1 if a file of --candidates is left out; 2 if another file is wrong.
     """
     from cell.lab.data.named_effects import candidates_in, select_effects
-    from cell.lab.report.model_tables import describe_effects, effects_table
+    from cell.lab.report.model_tables import describe_effects, effects_table, passed_line
 
     with refusing(*results or [], force=force):
         good, left_out = ([], []) if candidates is None else candidates_in(candidates)
         tell_notes(left_out)
-        library = select_effects([], [*(effect or []), *good]).candidates
+        selection = select_effects([], [*(effect or []), *good])
+        library = selection.candidates
         described = {"format": "cable-effects/1", "effects": describe_effects(library)}
-    deliver_result(described, results or [], lambda: [effects_table(library)])
+    own = selection.own
+    lines = [passed_line(e) for e in own.values()]
+    deliver_result(described, results or [], lambda: [*lines, effects_table(own or library)])
     if left_out:
         raise typer.Exit(NOT_ALL_DONE)
 

@@ -219,7 +219,7 @@ def run(options: RunOptions) -> None:
                 cell.close()
             remember_dry_run(settings, options.out, results)
     if not options.as_json:
-        _show(results, plan.names, options.dry_run, known.notes)
+        _show(results, plan.names, options, known.notes, simulated=made.twins is not None)
     changed = changes(options.out, results, options.config, products)
     for line in (*troubles(results), *cell.notes(), *changed):
         print(line, file=sys.stderr)
@@ -361,15 +361,21 @@ def _print_result(as_json: bool, result: Result) -> None:
 
 
 def _show(
-    results: Sequence[Result], steps: Sequence[str], dry_run: bool, notes: Sequence[str]
+    results: Sequence[Result],
+    steps: Sequence[str],
+    options: RunOptions,
+    notes: Sequence[str],
+    *,
+    simulated: bool,
 ) -> None:
     """Print the tables of a run, and where its records are."""
     from cell.cli.cycle_tables import checks_table, results_table, seconds_table
 
+    dry_run = options.dry_run
     tables = [checks_table(r) for r in results] if dry_run else [results_table(results)]
     name = "dry run" if dry_run else "cable"
     folders = (f"{name} {r.cycle}: {r.folder}" for r in results)
-    show(*tables, seconds_table(results, steps), *notes, *folders)
+    show(*tables, seconds_table(results, steps, simulated=simulated), *notes, *folders)
 
 
 def changes(out: Path, results: Sequence[Result], config: Path, products: Products) -> list[str]:
@@ -468,6 +474,6 @@ def _demotion_text(config: Path, settings: Settings, models: tuple[str, str]) ->
         return f"to go back to the model before: cell promote --undo --config {config}{of}"
     try:
         entry = undo(config, settings.product, meant=models)
-    except InputError as error:
+    except ValueError as error:
         return f"the model cannot be taken back: {error}"
     return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"

@@ -213,8 +213,8 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
     product  of the model; None = settings without products
     meant    expected hashes of the present and of the restored model; None = any
     returns  the file in the history with the restored model, now marked as undone
-    raises   InputError: there is none, the hashes differ, or the settings would be wrong; nothing
-             is written
+    raises   ValueError: there is none; InputError: the hashes differ, or the settings would be
+             wrong; nothing is written
     """
     config = config.resolve()
     text = read_exactly(config)
@@ -230,7 +230,11 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
         entry.rename(entry.with_name(entry.name.replace(".yaml", ".undone.yaml")))
         if former != present:
             return entry
-    raise InputError.at(config, "nothing to undo: no model was promoted here", key=_KEY)
+    of = "" if product is None else f" of product {product}"
+    raise ValueError(
+        f"nothing to undo: no model{of} was promoted into {config}, or every promotion is undone; "
+        f"{history_of(config)} has no earlier settings"
+    )
 
 
 def _hash(config: Path, text: str, product: str | None) -> str:

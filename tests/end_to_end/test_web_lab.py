@@ -199,7 +199,7 @@ def test_a_hidden_effect_is_found_typed_fitted_promoted_and_undone(
     diagnosis = json.loads((lab.results("hidden") / "diagnosis.json").read_text())
     found = diagnosis["missing"][0]["parameters"]["kg_per_m"]["value"]
     assert found == pytest.approx(_HIDDEN, rel=0.05)
-    page.shows("checks", "Do the held-out trials show each named effect?")
+    page.shows("checks", "Are the held-out trials sensitive to each named effect?")
     page.shows("checks", "error / noise ≤ 1.1")
 
     page.click("tab-own")

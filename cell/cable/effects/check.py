@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from cell.cable.effects.base import (
+    COMPILED,
     Bend,
     CableData,
     Effect,
@@ -28,7 +29,7 @@ from cell.cable.effects.base import (
     Place,
 )
 from cell.computer.watched import PATIENCE_S
-from cell.files.words import error_text
+from cell.files.words import counted, error_text
 
 #: Arguments of every hook.
 HOOKS = {
@@ -48,6 +49,8 @@ HOOKS = {
 }
 #: Arguments that a hook may have instead.
 OTHERWISE = {"inertia": ("cable", "arc_length", "p")}
+#: Hooks whose results an effect that is off may have.
+NEVER_OFF = frozenset({"memory_rate", "memory_at_rest", "clamp"})
 _FIELDS = ("name", "parameters", "memory", "dissipative", "smooth", "wider")
 
 _CABLE = CableData(0.016, 1e-4, 0.0074, 0.1)
@@ -79,6 +82,17 @@ def check(effect: type[Effect], doing: Doing = lambda what, line, seconds: None)
     _check_off(effect)
     if effect.dissipative:
         _check_dissipation(effect, doing)
+
+
+def passed_checks(effect: type[Effect]) -> list[str]:
+    """The checks that a loaded effect has passed, as texts."""
+    hooks = [hook for hook in HOOKS if getattr(effect, hook) is not None]
+    count = len(list(_probe_values(effect)))
+    passed = [f"{hook}: finite at {counted(count, 'set')} of parameters" for hook in hooks]
+    passed += [f"{hook}: compiles" for hook in hooks if hook in COMPILED]
+    if {*hooks} - NEVER_OFF:
+        passed += [f"off at {q.name} = {q.default:g}" for q in effect.parameters if q.amplitude]
+    return [*passed, *(["adds no energy"] if effect.dissipative else [])]
 
 
 def _where(effect: type[Effect]) -> tuple[Path, int]:
@@ -280,7 +294,7 @@ def _check_off(effect: type[Effect]) -> None:
     p = SimpleNamespace(**values)
     amplitudes = ", ".join(f"{q.name} = {q.default:g}" for q in effect.parameters if q.amplitude)
     for hook in HOOKS:
-        if getattr(effect, hook) is None or hook in ("memory_rate", "memory_at_rest", "clamp"):
+        if getattr(effect, hook) is None or hook in NEVER_OFF:
             continue
         for args in _calls(effect, hook, p):
             result = getattr(effect, hook)(*args)

@@ -107,13 +107,23 @@ class Option:
 class Suggestion:
     """Motions, the most informative first, and the candidates that they distinguish.
 
-    refused  number of motions refused, by limit
+    refused    number of motions refused, by limit
+    separated  whether the study's own trials already distinguish the candidates
     """
 
     candidates: tuple[str, ...]
     options: tuple[Option, ...]
     surroundings: Surroundings
     refused: Mapping[str, int]
+    separated: bool = False
+
+    def separated_text(self) -> str:
+        """Text for candidates that the study's own trials distinguish."""
+        first, *rivals = self.candidates
+        return (
+            f"The present trials already separate {first} from {', '.join(rivals)}: no further "
+            "recording is needed"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

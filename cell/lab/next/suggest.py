@@ -65,7 +65,9 @@ def suggest_motion(examination: Examination, surroundings: Surroundings) -> Sugg
     fits = examination.fits
     candidates = [_rival(model) for model in rivals(examination)]
     suggestion = distinguishing_motions(fits.prepared, candidates, surroundings, fits.progress)
-    return worth_a_cable(suggestion, fits.prepared)
+    diagnosis = examination.diagnosis
+    separated = diagnosis.verdict == "missing" and not any(e.tied_with for e in diagnosis.missing)
+    return worth_a_cable(replace(suggestion, separated=separated), fits.prepared)
 
 
 def worth_a_cable(suggestion: Suggestion, prepared: PreparedStudy) -> Suggestion:
@@ -104,11 +106,12 @@ def _no_motion_text(suggestion: Suggestion, prepared: PreparedStudy) -> str:
         "measuring what sets them apart in another way (weigh the cable, look at the jaws)"
     )
     first, *rivals = suggestion.candidates
+    already = f"{suggestion.separated_text()}. " if suggestion.separated else ""
     return (
-        f"study {prepared.study.name}: no safe motion tells {first} from {' or '.join(rivals)}; "
-        f"the best, {best.motion.describe()}, decides with probability {best.power:.2f} "
-        f"(separation χ² {best.separation:.2g}, {DECIDED:g} are needed). "
-        f"What would help: {'; '.join(helps)}"
+        f"{already}study {prepared.study.name}: no safe motion tells {first} from "
+        f"{' or '.join(rivals)}; the best, {best.motion.describe()}, decides "
+        f"with probability {best.power:.2f} (separation χ² {best.separation:.2g}, {DECIDED:g} are "
+        f"needed). What would help: {'; '.join(helps)}"
     )
 
 

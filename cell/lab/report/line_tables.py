@@ -15,6 +15,7 @@ from cell.lab.data.results import Verdict
 from cell.lab.line.effect_fit import LearningResult
 from cell.lab.line.forecasts import ForecastPair
 from cell.lab.line.identify_all import IdentifiedAll
+from cell.lab.line.learn import NEGLIGIBLE_M, negligible
 from cell.lab.line.learning_checks import LineEvidence, learning_outcomes, learning_verdict
 from cell.lab.line.together import Consistency, Together
 from cell.lab.report.tables import check_rows, checks_table
@@ -41,7 +42,7 @@ def learning_lines(result: LearningResult, *, so_far: bool = False) -> list[str]
     before_m, noise_m = result.baseline.rms_m, result.baseline.noise_m
     first = (
         f"{counted(len(result.cycles), 'cable')}: the model misses {before_m * 1e3:.3f} mm rms, "
-        f"the noise is {noise_m * 1e3:.3f} mm"
+        f"the {_noise_name(result)} is {noise_m * 1e3:.3f} mm"
     )
     if result.best is None and so_far:
         return [first, "the missing effect is not identified yet; nothing was written"]
@@ -76,14 +77,30 @@ def _without_effect(result: LearningResult) -> str:
     if result.left_out:
         return "no effect that was tried explains more than chance; some were not tried"
     nothing = "no effect of the library explains more than chance"
+    if negligible(result.baseline):
+        nothing = (
+            f"no effect was tried, because the error beyond the noise is below "
+            f"{NEGLIGIBLE_M * 1e3:g} mm"
+        )
     outcomes = learning_outcomes(result)
     reasons = " ".join(a.check.failed for a in outcomes if a.passed is False)
     verdict = learning_verdict(result, outcomes)
     if verdict == "complete":
-        return f"{nothing}: the model is complete"
+        return (
+            f"{nothing}: the model is complete; this excludes no effect too small for these "
+            "cycles, `cell diagnose` on a cycle's folder prints which sizes it excludes"
+        )
     if verdict == "unexplained":
         return f"{nothing}, and {reasons[0].lower()}{reasons[1:-1]}: {LAWS}"
     return f"{nothing}. {reasons}"
+
+
+def _noise_name(result: LearningResult) -> str:
+    """Where the noise is known from: the study, or the frames."""
+    stated = {c.noise_model.stated for c in result.baseline.cables}
+    if stated == {True}:
+        return "stated noise"
+    return "measured noise" if stated == {False} else "noise (of some cables stated)"
 
 
 def learning_parts(

@@ -311,7 +311,7 @@ def preview_of(
     facts = facts_of(trials, tip_first, read.mapping.gravity_m_per_s2)
     odd = [*notes, *oddities(facts if read.mapping.is_to_scale else (), read.mapping.noise_std_m)]
     wrong = [str(p) for p in problems]
-    title = f"Preview of {read.mapping.name}: nothing is written yet"
+    title = f"{read.mapping.name} as proposed, before it is written; `cell look` shows the study"
     says = {
         head: [f.sentence for f in understood.findings if f.sure is sure]
         for sure, head in _HEADS.items()

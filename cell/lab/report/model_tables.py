@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.cable.effects.base import Effect
+from cell.cable.effects.check import passed_checks
 from cell.files.table import TableData
+from cell.files.words import counted
 from cell.identify.identified import Identified
 from cell.lab.data.prepared import PreparedStudy
 from cell.lab.data.results import Errors
@@ -35,15 +37,19 @@ if TYPE_CHECKING:
     from cell.lab.next.motion_file import Suggestion
 
 
-def model_table(model: Identified) -> TableData:
-    """Parameters with 95 % intervals."""
+def model_table(model: Identified, fitted_to: str = "") -> TableData:
+    """Parameters with 95 % intervals.
+
+    fitted_to  the data behind them, for the title
+    """
     low, high = model.interval()
     columns = (model.space.names, model.values, low, high, model.space.units)
     rows = [
         [name, digits(value, 4), digits(lo, 4), digits(hi, 4), unit]
         for name, value, lo, hi, unit in zip(*columns, strict=True)
     ]
-    return TableData("Parameters, 95 % intervals", _INTERVAL_HEADS, rows, (1, 2, 3))
+    title = f"Parameters, 95 % intervals{fitted_to and f', from {fitted_to}'}"
+    return TableData(title, _INTERVAL_HEADS, rows, (1, 2, 3))
 
 
 def errors_line(prepared: PreparedStudy, errors: Errors) -> str:
@@ -67,11 +73,14 @@ def comparison_sentence(comparisons: Sequence[Comparison]) -> str:
             f"The model misses {short(last.fit_rms_m * 1e3)} mm on the motions fitted to"
             f"{beyond if held else ''}; {noise}."
         )
-    before, after = short(first.error_m * 1e3), short(last.error_m * 1e3)
+    errors = [f"{1e3 * c.error_m:#.3g}" for c in comparisons]
+    before, after = errors[0], errors[-1]
     goes = f"{'falls' if last.error_m < first.error_m else 'rises'} from {before} to {after} mm"
     if before == after:
         goes = f"stays at {after} mm"
-    return f"From “{first.model}” to “{last.model}” the error on {where} {goes}; {noise}."
+    between = [f"“{c.model}” {e} mm" for c, e in zip(comparisons, errors, strict=True)][1:-1]
+    among = f" (between them: {', '.join(between)})" if between else ""
+    return f"From “{first.model}” to “{last.model}” the error on {where} {goes}{among}; {noise}."
 
 
 def comparisons_table(comparisons: Sequence[Comparison]) -> TableData:
@@ -147,6 +156,12 @@ def effects_table(library: Mapping[str, type[Effect]]) -> TableData:
     return TableData("", ["effect", "law", "parameters"], rows)
 
 
+def passed_line(effect: type[Effect]) -> str:
+    """Text: the checks that a user's own effect has passed."""
+    passed = passed_checks(effect)
+    return f"{effect.name}: {counted(len(passed), 'check')} passed: {'; '.join(passed)}"
+
+
 def describe_effects(library: Mapping[str, type[Effect]]) -> list[dict[str, Any]]:
     """Names, laws and parameters of effects, as plain data."""
     return [
@@ -209,14 +224,18 @@ def suggestion_table(suggestion: Suggestion) -> TableData:
 def _respected_limits(suggestion: Suggestion) -> str:
     """Text: the limits that the motions respect, and the number of motions refused."""
     refused = sum(suggestion.refused.values())
+    low, high = np.degrees(suggestion.surroundings.angle_rad)
+    angles = f"clamp angles from {low:.0f} to {high:.0f}°"
     if suggestion.surroundings.picture_m is None:
         return (
-            "checked only against a box of ±100 mm around home: give --config for the limits, the "
-            "picture and the workpiece of a cell"
+            f"checked only against a box of ±100 mm around home and {angles}: give --config for "
+            "the limits, the picture and the workpiece of a cell; its `limits.angle_rad` narrows "
+            "the angles"
         )
     return (
-        "gripper within its limits, cable and jaw in the picture, cable clear of the workpiece, "
-        f"all including the uncertainty of the cable; {refused} motions refused"
+        f"gripper within its limits, {angles} (`limits.angle_rad`), cable and jaw in the "
+        f"picture, cable clear of the workpiece, all including the uncertainty of the "
+        f"cable; {refused} motions refused"
     )
 
 

@@ -105,7 +105,7 @@ def diagnosis_page(
         ],
         left=_where(series),
         shown=_trials(series),
-        cable=model_table(model),
+        cable=model_table(model, "the fit trials"),
     )
 
 
@@ -262,7 +262,8 @@ def _parameters(diagnosis: Diagnosis) -> TableData:
         for f in diagnosis.missing
         for name, p in f.parameters.items()
     ]
-    return TableData("", ["effect", "parameter", "value", "95 % interval", "unit"], rows, (2, 3))
+    heads = ["effect", "parameter", "value", "95 % interval, all trials", "unit"]
+    return TableData("", heads, rows, (2, 3))
 
 
 def _laws(diagnosis: Diagnosis, model: Identified) -> list[dict[str, object]]:

@@ -39,6 +39,8 @@ from cell.study.facts import sensors_in_words
 NOT_WHY = "These motions cannot show why."
 #: Column of models that were fitted to held-out trials too.
 FITTED_TO_ALL = "fitted to all"
+#: Column of an effect's parameters: `cell fit` gives those of the fit trials.
+_INTERVALS = "parameters (95 %, all trials)"
 #: Multiple of the noise up to which a remaining error is called noise.
 NOISE_ALONE = DEFAULT_RULES.most_over_noise
 _SIGNS = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
@@ -121,7 +123,7 @@ def nearest_table(diagnosis: Diagnosis) -> TableData:
 def waterfall_table(diagnosis: Diagnosis) -> TableData:
     """Error of the baseline, after each effect added, and the noise."""
     in_part, rest = bool(diagnosis.partial), diagnosis.left
-    heads = ["model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, "parameters (95 %)", "p"]
+    heads = ["model", "fitted", "held out", *[FITTED_TO_ALL] * in_part, _INTERVALS, "p"]
     base, noise = diagnosis.baseline, mm(diagnosis.noise_m)
     before = ["–" if rest is None else mm(rest.before_rms_m)] * in_part
     errors = (mm(base.fit_rms_m), mm(base.heldout_rms_m))
@@ -145,7 +147,7 @@ def waterfall_table(diagnosis: Diagnosis) -> TableData:
         )
     label = noise_label(diagnosis.noise_is_stated)
     rows.append([label, noise, noise, *[noise] * in_part, "", "", ""])
-    texts = {0, heads.index("parameters (95 %)")}
+    texts = {0, heads.index(_INTERVALS)}
     numbers = [i for i in range(len(heads) + 1) if i not in texts]
     return TableData("Error, mm rms per coordinate", [*heads, "ΔBIC"], rows, numbers)
 

@@ -351,15 +351,14 @@ class Refits:
         def on_fitted(job: tuple[type[Effect], Options], model: FittedModel | None) -> None:
             if model is not None:
                 store(model)
-            text = f"refitted with {self._name(job[0])}, {self._error_fall(effects)}"
-            self.progress(text, next(done), len(effects))
+            self.progress(self._refit_text(job[0], model, effects), next(done), len(effects))
 
         def on_continued(_: FittedModel, model: FittedModel) -> None:
             store(model)
             if model.fit.solution.iterations < POLISH.max_iterations:  # converged
                 self.polished.add(model.names)
 
-        text = f"refitting with one effect more, {self._error_fall(effects)}"
+        text = f"refitting with one effect more; {self._best_text(effects)}"
         self.progress(text, len(effects) - len(unknown), len(effects))
         functions = (refitted, continue_fit)
         with side_by_side(prepared.work, functions, self.offered, len(unknown)) as pool:
@@ -376,11 +375,23 @@ class Refits:
                 pool.map(continue_fit, to_continue, lambda model: model, on_continued)
         return [models[c.names] for c in first_fits]
 
-    def _error_fall(self, effects: Sequence[type[Effect]]) -> str:
-        """Text of the error before and now, for the progress display."""
-        base_m = self.extension.base.fit.rms_m
-        least_m = min((c.fit.rms_m for c in self._fitted(effects)), default=base_m)
-        return error_text(self.extension.prepared, base_m, min(base_m, least_m))
+    def _refit_text(
+        self, effect: type[Effect], model: FittedModel | None, effects: Sequence[type[Effect]]
+    ) -> str:
+        """Text of a refit's own error, and of the best model so far, for the progress display."""
+        text = f"refitted with {self._name(effect)}, "
+        if model is None:
+            return f"{text}no result; {self._best_text(effects)}"
+        prepared, base_m = self.extension.prepared, self.extension.base.fit.rms_m
+        error = error_text(prepared, base_m, model.fit.rms_m)
+        return f"{text}{error}; {self._best_text(effects)}"
+
+    def _best_text(self, effects: Sequence[type[Effect]]) -> str:
+        """Text of the least error so far, and the effects of that model."""
+        models = (self.extension.base, *self._fitted(effects))
+        best = min(models, key=lambda c: c.fit.rms_m)
+        names = " and ".join(e.name for e in best.effects) or "no effect added"
+        return f"best so far with {names}, {error_text(self.extension.prepared, best.fit.rms_m)}"
 
     def _name(self, effect: type[Effect]) -> str:
         return " and ".join((*sorted(self.extension.base.names), effect.name))

@@ -150,14 +150,15 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     ),
     Check(
         "heldout_insensitive",
-        "Do the held-out trials show each named effect?",
-        "ln LR",
+        "Are the held-out trials sensitive to each named effect?",
+        "ln LR, effect off",
         check_statistics.least_visible,
         ">=",
         "heldout_gain",
         "cannot_tell",
         "The held-out trials cannot show it: it is not confirmed.",
-        "ln of the ratio of the likelihoods with and without the effect",
+        "expected ln of the likelihood ratio with the effect and with it off, all else as fitted: "
+        "no evidence for it, only whether these trials can show it",
         "the held-out trials cannot show {effect}: it explains the trials fitted to, but it is not "
         "confirmed; hold out a trial that can show it",
     ),

@@ -72,6 +72,12 @@ def test_times_have_a_column_per_cable_or_a_summary_of_many() -> None:
     assert row == ["grasp", "0.900", "2.500"]
 
 
+def test_times_of_a_simulated_cell_are_called_simulated() -> None:
+    """ "all 4.998" stood below a run that had taken 173 s."""
+    assert seconds_table([INSERTED], STEPS, simulated=True).title == "simulated seconds per step"
+    assert seconds_table([INSERTED], STEPS).title == "seconds per step"
+
+
 def test_troubles_name_step_device_cause_and_remedy() -> None:
     assert troubles([INSERTED, REJECTED, FAILED]) == [
         "cable 2 rejected: little swing: 0.1 mm",

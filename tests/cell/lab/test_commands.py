@@ -72,6 +72,31 @@ def test_effects_are_listed_with_units(tmp_path):
     assert listed["tip_mass"]["parameters"][0]["unit"] == "kg"
 
 
+def test_an_effect_to_check_is_shown_alone_with_its_checks(tmp_path):
+    """Success was one row at the end of the table of all effects."""
+    path = tmp_path / "lift.py"
+    path.write_text(LIFT)
+    printed = run_cell("effects", "--try", path).output
+    said = "lift: 3 checks passed: force: finite at 5 sets of parameters; force: compiles; off at"
+    assert printed.startswith(said)
+    assert "Up on every piece" in printed and "air_drag" not in printed
+
+
+LIFT = '''
+from cell.cable.effects import Effect, Parameter
+
+
+class Lift(Effect):
+    """Up on every piece of the cable."""
+
+    name = "lift"
+    parameters = (Parameter("up_n_m", "N/m", 0.0, 1.0, default=0.0, starts=(0.01,)),)
+
+    def force(cable, at, p):
+        return 0.0, p.up_n_m
+'''
+
+
 def test_study_gathers_cycles_and_counts_a_recording_once(folder, tmp_path):
     cycle = tmp_path / "cycle"
     shutil.copytree(folder, cycle / "study")

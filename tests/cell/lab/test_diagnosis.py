@@ -172,6 +172,10 @@ def test_a_hidden_effect_is_named_measured_and_removed(make_study):
     before, after = zip(*(map(float, fall.groups()) for fall in falls if fall), strict=True)
     assert before[0] > 0.11 and min(after) < 0.103, "who watches sees the error fall"
     assert any("refitted with air_drag, error" in text for text in said)
+    refit = next(text for text in said if "refitted with tip_mass" in text)
+    own, least = re.findall(r"(\S+) mm \(noise", refit)
+    assert float(own) > 0.15 and float(least) < 0.103, "its own error, and that of the best"
+    assert "; best so far with air_drag, error" in refit
     assert [f.effect for f in found.missing] == ["air_drag"]
     assert {a.parameter: a.agrees for a in found.agreement}["air_drag.drag_coefficient"]
     value = found.missing[0].parameters["drag_coefficient"]

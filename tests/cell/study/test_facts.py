@@ -66,6 +66,13 @@ def test_what_a_camera_s_noise_shows_is_no_swing() -> None:
         assert found.peaks_hz[0] == pytest.approx(4.0, abs=0.3)
 
 
+def test_a_remark_names_every_trial_of_a_usual_study() -> None:
+    facts = trial_facts(a_trial(), np.array(ARCS_M[::-1]))
+    names = [f"trial_{i}" for i in range(5)]
+    still = [replace(facts, name=n, moves_s=None, spectrum=None) for n in names]
+    assert oddities(still, None)[0].startswith(f"{', '.join(names)}: the gripper never moves")
+
+
 def test_noise_is_that_of_the_frames_at_rest() -> None:
     values = np.random.default_rng(0).normal(0.0, 1e-4, (400, 5, 2))
     assert noise_m(values) == pytest.approx(1e-4, rel=0.05)

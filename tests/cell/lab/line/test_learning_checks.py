@@ -29,7 +29,7 @@ def test_what_a_diagnosis_asks_too_has_the_same_name_and_means_the_same() -> Non
 
 def result(rms_m: float = 1e-4, *, beyond_m: float = 0.0, allowed: float = 1.2) -> LearningResult:
     """Two cables without a missing effect, at a noise of 0.1 mm."""
-    noise_model = SimpleNamespace(range_m=(9e-5, 1.1e-4), allowed_over_level=allowed)
+    noise_model = SimpleNamespace(range_m=(9e-5, 1.1e-4), allowed_over_level=allowed, stated=False)
     cable = SimpleNamespace(noise=SimpleNamespace(std_m=1e-4), noise_model=noise_model)
     fit: Any = SimpleNamespace(
         rms_m=rms_m,
@@ -60,6 +60,15 @@ def test_a_result_is_complete_only_if_every_question_is_answered_so(
     assert learning_verdict(found, answers) == verdict
     assert ("the model is complete" in learning_lines(found)[-1]) == (verdict == "complete")
     assert str(learning_parts(found, [])[0]).startswith(f"Verdict {verdict}: ")
+
+
+def test_a_complete_model_says_what_was_tried_and_what_it_does_not_exclude() -> None:
+    first, last = learning_lines(result())
+    assert first.endswith("the measured noise is 0.100 mm")
+    assert last.startswith("no effect was tried, because the error beyond the noise is below 0.005")
+    assert "excludes no effect too small for these cycles" in last
+    tried = learning_lines(result(1.02e-4))[-1]
+    assert tried.startswith("no effect of the library explains more than chance: the model is comp")
 
 
 def test_nothing_is_complete_while_effects_were_left_out() -> None:

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from scipy import stats
 
+from cell.api.results import SuggestResult
 from cell.cable.dynamics import simulate
 from cell.cable.effects import library
 from cell.cable.model import CableModel
@@ -160,7 +161,14 @@ def test_a_motion_that_tells_nothing_is_refused_and_it_is_said_what_would_help(t
     assert "room for the 12 motions that were refused, 12 for the picture" in said
     strong = replace(found, options=(replace(weak, power=0.3),))
     monkeypatch.setattr("cell.lab.next.suggest.distinguishing_motions", lambda *_: strong)
-    assert suggest_motion(tied[1], Surroundings()) is strong
+    diagnosis = tied[1].diagnosis
+    assert diagnosis.verdict == "missing" and not diagnosis.missing[0].tied_with
+    already, table = SuggestResult(suggest_motion(tied[1], Surroundings())).parts()
+    said = "The present trials already separate added_mass from natural_curvature: no further"
+    assert str(already).startswith(said)
+    assert "clamp angles from -92 to 92°" in str(table) and "`limits.angle_rad`" in str(table)
+    open_question = replace(tied[1], diagnosis=replace(diagnosis, verdict="cannot_tell"))
+    assert suggest_motion(open_question, Surroundings()) == strong
 
 
 def test_a_complete_model_leaves_nothing_to_tell(make_study):

@@ -12,16 +12,18 @@ from cell.lab.data.check import CheckOutcome, Reading
 from cell.lab.data.results import Diagnosis, Doubt, Errors, MissingEffect
 from cell.lab.next.advice import Paths, advice
 from cell.lab.next.discover import Discovery
-from cell.lab.report.model_tables import comparison_sentence, discovery_sentence
+from cell.lab.report.model_tables import comparison_sentence, discovery_sentence, model_table
 from cell.lab.report.tables import (
     _worst_place,
     diagnosis_parts,
     sentence,
     steps_text,
     verdict_line,
+    waterfall_table,
 )
 from cell.lab.report.wording import apart, mm, noise_in_words, residual_in_words
 from cell.lab.strength.compare import Comparison, compare_model
+from cell.lab.strength.estimate import identified
 from cell.lab.verdict.checks import CHECKS
 from cell.study.hand_drift import HandDrift
 from tests.cell.lab.conftest import fits_of
@@ -41,6 +43,22 @@ def test_what_effects_do_to_the_error_is_said_in_millimetres():
     assert "%" not in one + left
     both = sentence(diagnosis("missing", "tip_mass", "air_drag"))
     assert "with tip mass and air drag in it 0.10 mm" in both
+
+
+def test_intervals_say_from_which_trials_they_are(make_study):
+    """Of one effect `diagnose` and `fit` printed different intervals, and not why."""
+    heads = waterfall_table(diagnosis("missing", "tip_mass")).heads
+    assert "parameters (95 %, all trials)" in heads
+    fits = fits_of(make_study(seed=5), [])
+    model = identified(fits.prepared, fits.base.fit)
+    assert model_table(model, "the fit trials").title.endswith("intervals, from the fit trials")
+    assert model_table(model).title == "Parameters, 95 % intervals"
+
+
+def test_sensitivity_of_heldout_trials_is_not_called_evidence():
+    (check,) = [c for c in CHECKS if c.name == "heldout_insensitive"]
+    assert "sensitive" in check.question and check.unit == "ln LR, effect off"
+    assert "no evidence" in check.reason
 
 
 def test_where_the_noise_is_not_known_no_effect_is_said_to_lack_and_rest_is_asked_for():
@@ -165,12 +183,15 @@ def test_a_model_that_cannot_be_simulated_where_it_was_not_fitted_has_no_small_e
     lost = replace(sound, fit_rms_m=1e-4, heldout_rms_m=np.inf, model="lost")
     assert lost.error_m == np.inf
     assert lost.removed_share(sound) < 0.0 and sound.removed_share(lost) == 1.0
-    assert "on motions not fitted to rises from 0.50 to inf mm" in comparison_sentence(
+    assert "on motions not fitted to rises from 0.500 to inf mm" in comparison_sentence(
         [sound, lost]
     )
-    assert "on motions not fitted to falls from inf to 0.50 mm" in comparison_sentence(
+    assert "on motions not fitted to falls from inf to 0.500 mm" in comparison_sentence(
         [lost, sound]
     )
+    best = replace(sound, heldout_rms_m=4.9e-5, model="best")
+    said = comparison_sentence([sound, lost, best])
+    assert "falls from 0.500 to 0.0490 mm (between them: “lost” inf mm); the" in said
     assert (mm(np.inf), mm(np.nan)) == ("inf", "–")
     none = replace(sound, heldout_rms_m=np.nan)
     assert none.error_m == 3e-4

@@ -175,7 +175,9 @@ def test_a_preview_is_there_of_what_is_refused(tmp_path: Path) -> None:
     file = Path(name)
     file.write_text("\n".join(exchanged(file.read_text().splitlines())) + "\n")
     assert "To be mended:" in run(name, "-o", tmp_path / "s", *CABLE, code=1)
-    assert "To be mended" in (tmp_path / "s" / "preview.html").read_text()
+    preview = (tmp_path / "s" / "preview.html").read_text()
+    assert "To be mended" in preview
+    assert "as proposed, before it is written" in preview, "it stays when the study is written"
 
 
 @pytest.mark.parametrize(
