@@ -67,7 +67,6 @@ class CalibrationJob:
     """A calibration run, used as a context: its devices, settings and files.
 
     say, ask  reports progress to a person; asks a question and waits for the answer
-    live      False = only from folders: nothing is connected
     look      called with every picture of the board; None = not called
     """
 
@@ -78,15 +77,13 @@ class CalibrationJob:
         seed: int,
         say: Say,
         ask: Callable[[str], str],
-        *,
-        live: bool,
         look: OnCoverage | None = None,
     ) -> None:
         if settings.calibration is None:
             message = "is missing; add `calibration: {}`, and leave out camera.view"
             raise InputError([Problem(config, 1, None, "calibration", message)])
         self._settings, self._config, self._seed = settings, config, seed
-        self._say, self._ask, self._live, self._look = say, ask, live, look
+        self._say, self._ask, self._look = say, ask, look
         self._folder = settings.calibration.folder
         try:
             self._board = board_of(settings)

@@ -195,6 +195,7 @@ def _workshop(
 ) -> Iterator[CalibrationJob]:
     """Everything that calibrating needs; an error is printed and ends the command with 2.
 
+    live     devices are used, not only folders
     gripped  a cable is gripped, so the product must be known
     """
     from cell.calibration.assistants import write_coverage
@@ -234,7 +235,8 @@ def _workshop(
 
     try:
         settings = load_product(config, product) if gripped else load_settings(config)
-        refuse_examples(settings, config, inserts=False)
+        if live:
+            refuse_examples(settings, config, inserts=False)
         if settings.calibration is not None:
             to_file(settings.calibration.folder / "calibration.log")
         look = (
@@ -245,7 +247,7 @@ def _workshop(
         with (
             interrupted_once(),
             progress,
-            CalibrationJob(settings, config, options.seed, say, ask, live=live, look=look) as work,
+            CalibrationJob(settings, config, options.seed, say, ask, look) as work,
         ):
             yield work
     except (InputError, BrokenOffError) as error:

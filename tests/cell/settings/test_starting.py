@@ -93,3 +93,18 @@ def test_an_arm_whose_place_is_the_examples_does_not_move(
         line = next(i for i, text in enumerate(lines, 1) if key.split(".")[1] in text)
         assert f"line3.yaml:{line}:3: {key}: has the value of the example" in complaint
         assert "measure that of this cell (`cell help commission`)" in complaint
+
+
+def test_pictures_in_a_folder_are_calibrated_with_the_examples_place(tmp_path: Path) -> None:
+    """Nothing moves then."""
+    text = (
+        (CONFIG / "line3.yaml")
+        .read_text("utf-8")
+        .replace("camera:\n", "calibration: {}\ncamera:\n")
+    )
+    config = tmp_path / "line3.yaml"
+    config.write_text("".join(li for li in text.splitlines(True) if "view:" not in li), "utf-8")
+    command = ["calibrate", "camera", "--config", str(config)]
+    done = CliRunner().invoke(app, [*command, "--from", str(tmp_path)])
+    assert done.exit_code == 2 and "has no pictures" in done.stderr
+    assert "arm.plane_origin_m" in CliRunner().invoke(app, command).stderr
