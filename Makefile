@@ -81,7 +81,7 @@ tests-computing: $(VENV)/.dev
 
 hardware: $(VENV)/.dev   ## the conformance suite on the devices of CONFIG=file; they move
 	@test -n "$(CONFIG)" || { echo "error: say which cell: make hardware CONFIG=config/line3.yaml"; exit 2; }
-	$(BIN)/pytest -v -rs --hardware --config $(CONFIG) tests/drivers/conformance
+	$(BIN)/pytest -v -rs --hardware --config $(CONFIG) tests/drivers/conformance $(ARGS)
 
 bench: $(VENV)/.dev   ## speed, as ratios against a peer in one run
 	$(BIN)/python -m tools.bench.bench $(ARGS)

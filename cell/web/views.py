@@ -213,8 +213,8 @@ def step_word(step: str) -> str:
 def result_figures(result: Mapping[str, Any]) -> dict[str, str]:
     """Figures of a cycle's result, as texts with units; unknown ones are omitted."""
     named = (
-        ("predicted_miss_m", N_("Tip predicted"), 1e3, "+z.2f", "mm"),
-        ("measured_miss_m", N_("Tip seen"), 1e3, "+z.2f", "mm"),
+        ("predicted_miss_m", N_("Predicted miss"), 1e3, "+z.2f", "mm"),
+        ("measured_miss_m", N_("Measured miss"), 1e3, "+z.2f", "mm"),
         ("margin_m", N_("Margin"), 1e3, "+z.2f", "mm"),
     )
     figures = {

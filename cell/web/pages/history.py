@@ -60,8 +60,8 @@ def build(visit: Visit) -> None:
         ("part", t("Part")),
         *([("product", t("Product"))] if made else []),
         ("outcome", t("Outcome")),
-        ("predicted", t("Tip predicted") + ", mm"),
-        ("measured", t("Tip seen") + ", mm"),
+        ("predicted", t("Predicted miss") + ", mm"),
+        ("measured", t("Measured miss") + ", mm"),
         ("why", t("Reason")),
     )
     table = ui.table(

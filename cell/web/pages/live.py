@@ -217,7 +217,7 @@ class _Live:
         t, settings = self._t, self._visit.room.settings
         products = products_of(settings)
         errors_of = (t("Error of the forecast"), t("± 3 σ expected"), "", t("Cable"))
-        misses_of = (t("Tip seen"), "", "", t("Cable"))
+        misses_of = (t("Measured miss"), "", "", t("Cable"))
         with ui.element("div").classes("live-side"):
             with ui.element("div").classes("flex justify-between w-full"):
                 ui.label(t("Newest cable")).classes("quiet")
@@ -227,7 +227,7 @@ class _Live:
             figures = ui.label().classes("text-sm").props("data-test=figures")
             with ui.element("div").classes("contents") as trends:
                 strip = ui.element("div").classes("live-strip").props("data-test=strip")
-                ui.label(t("Tip between the edges of the opening"))
+                ui.label(t("Miss; limits dashed"))
                 misses = chart({}).props(f'role=img aria-label="{misses_of[0]}"')
                 ui.label(", ".join(errors_of[:2]))
                 errors = chart({}).props(f'role=img aria-label="{errors_of[0]}"')

@@ -90,8 +90,8 @@ def test_a_cell_that_has_gone_shows_its_newest_cable_and_no_buttons() -> None:
     assert (view.style, view.buttons) == (AWAY, frozenset())
     assert (view.folder, view.counts) == ("20261121T021043.800-3", {"inserted": 1})
     assert view.result == {
-        "Tip predicted": "-1.00 mm",
-        "Tip seen": "+0.00 mm",
+        "Predicted miss": "-1.00 mm",
+        "Measured miss": "+0.00 mm",
         "Probability": "> 99.9 %",
     }
 
