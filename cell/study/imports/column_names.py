@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 from cell.study.imports.capture import CapturedColumn
 from cell.study.imports.units import METRES, RADIANS, SECONDS, split_unit
@@ -103,8 +104,13 @@ def is_of_wrench(name: str) -> bool:
 
 def meaning(column: CapturedColumn) -> Meaning:
     """Meaning of a column by its name and its stated unit."""
-    bare, within = split_unit(column.name)
-    unit = column.unit or within
+    return _meaning(column.name, column.unit)
+
+
+@lru_cache(maxsize=4096)
+def _meaning(name: str, unit: str) -> Meaning:
+    bare, within = split_unit(name)
+    unit = unit or within
     if pose := _POSE.fullmatch(bare):  # of UR: metres, and a rotation vector
         group = " ".join(w for w in _words(pose[1]) if w not in _FILLER)
         part = int(pose[2])

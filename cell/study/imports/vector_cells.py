@@ -16,6 +16,8 @@ _SEVERAL = re.compile(
 _SINGLE = re.compile(_NUMBER, re.IGNORECASE)
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 _SEPARATORS = ("\t", ";", "|", ",")
+#: Brackets, without which a cell between commas holds a single number.
+_OPENING = "[(<"
 _MIN_ROWS, _MIN_FRACTION = 3, 0.9
 #: Lines in which a table may begin: motion capture writes a dozen above it, others up to 200.
 _HEAD_LINES = 300
@@ -56,7 +58,9 @@ def with_single_cells(lines: Sequence[str]) -> list[str]:
 
 
 def _in_line(line: str, separator: str) -> bool:
-    return separator in line and any(_parts(c, separator) for c in split_line(line, separator))
+    if separator not in line or (separator == "," and not any(b in line for b in _OPENING)):
+        return False
+    return any(_parts(c, separator) for c in split_line(line, separator))
 
 
 def _parts(cell: str, separator: str) -> list[str]:
