@@ -10,10 +10,11 @@ entry point is a class with the interface of its section in `drivers.interfaces`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import wraps
 from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import Field, create_model
 
@@ -23,8 +24,9 @@ from cell.files.yaml_document import Document, validate
 from cell.settings import devices
 from cell.settings.model import Settings
 from cell.settings.section import Section
-from drivers.interfaces import Arm, Camera, Clock, Gripper
+from drivers.interfaces import Arm, Camera, Clock, DeviceError, DeviceLostError, Gripper
 
+T = TypeVar("T")
 GROUP = "cable_cell.devices"
 
 
@@ -112,13 +114,13 @@ def _load(section: str, entry: EntryPoint) -> Any:
         raise ValueError(
             f"the package {package} does not load: {error_text(error)}; mend or remove it"
         ) from error
-    base, interface = _BASES[section], _INTERFACES[section]
+    base = _BASES[section]
     wrong = f"{entry.value} of the package {package}"
     settings = getattr(driver, "settings_class", None)
     if not (isinstance(settings, type) and issubclass(settings, base)):
         raise ValueError(f"{wrong} needs a `settings_class` derived from {base.__name__}")
-    methods = [n for n, v in vars(interface).items() if callable(v) and not n.startswith("_")]
-    lacking = [n for n in (*methods, "from_settings") if not callable(getattr(driver, n, None))]
+    wanted = (*_methods(section), "from_settings")
+    lacking = [n for n in wanted if not callable(getattr(driver, n, None))]
     if lacking:
         raise ValueError(f"{wrong} lacks {', '.join(lacking)} of a {section}; add it")
     return driver
@@ -134,10 +136,40 @@ def place_of(settings: Section) -> str | None:
 
 
 def plugged_in(section: str, settings: Section, clock: Clock, delay_s: float = 0.0) -> Any:
-    """Device from another package, not connected; None = the device is the project's own."""
+    """Device from another package, not connected; None = the device is the project's own.
+
+    Its methods raise DeviceLostError in place of an error that is no DeviceError: the cell stops
+    then as after any fault of a device.
+    """
     if not isinstance(settings, PluggedDevice):
         return None
-    return driver_class(section, settings.kind).from_settings(settings, clock, delay_s)
+    device = driver_class(section, settings.kind).from_settings(settings, clock, delay_s)
+    for name in _methods(section):
+        setattr(device, name, _as_fault(device.name, getattr(device, name)))
+    return device
+
+
+def _as_fault(device: str, method: Callable[..., T]) -> Callable[..., T]:
+    """A driver's method whose own errors are a fault of its device."""
+
+    @wraps(method)
+    def call(*values: Any, **options: Any) -> T:
+        try:
+            return method(*values, **options)
+        except DeviceError:
+            raise
+        except Exception as error:  # each driver has errors of its own
+            cause = f"its driver failed in `{method.__name__}`: {error_text(error)}"
+            remedy = "check the device's cable and power, or correct the driver, then reset"
+            raise DeviceLostError(device, cause, remedy) from error
+
+    return call
+
+
+def _methods(section: str) -> list[str]:
+    """Names of the methods of a section's interface, without its properties."""
+    members = vars(_INTERFACES[section]).items()
+    return [name for name, v in members if callable(v) and not name.startswith("_")]
 
 
 def _foreign_kinds(data: Any) -> dict[str, str]:

@@ -14,7 +14,7 @@ from cell.settings.loading import for_product
 from cell.settings.plugged import settings_class
 from cell.wiring.build import real_devices
 from cell.wiring.ownership import devices_of
-from drivers.interfaces import Gripper
+from drivers.interfaces import DeviceLostError, Gripper
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "howto" / "extend.md").read_text("utf-8")
@@ -96,6 +96,41 @@ def test_the_device_is_built_and_has_one_owner(config, package):
         "gripper.kind",
         "gripper acme 10.0.0.20",
     )
+
+
+def test_the_example_behaves_as_a_gripper_must(config, tmp_path):
+    """By the conformance suite, as the page says; two of its tests failed."""
+    site = tmp_path / "site"
+    site.mkdir()
+    installed(site, EXAMPLE)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--hardware",
+               "--config", str(config[0]), "tests/drivers/conformance", "-kgripper"]  # fmt: skip
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(site)])}
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=env, check=False)
+    assert done.returncode == 0, done.stdout
+    assert " passed" in done.stdout
+
+
+def test_an_error_of_a_drivers_own_is_a_fault_of_its_device(config, package):
+    """It ended the program with its bare text, before the cycle had a result."""
+    package(
+        EXAMPLE.replace(
+            "        opening_m =", "        raise OSError('line broken')\n        opening_m ="
+        )
+    )
+    gripper = real_devices(load_settings(config[0])).gripper
+    for act in (gripper.state, gripper.release):
+        with pytest.raises(DeviceLostError, match="not connected"):
+            act()
+    gripper.connect()
+    with pytest.raises(DeviceLostError) as raised:
+        gripper.state()
+    fault = raised.value
+    assert (fault.device, fault.cause) == (
+        "gripper",
+        "its driver failed in `state`: OSError: line broken",
+    )
+    assert "correct the driver, then reset" in fault.remedy
 
 
 def test_settings_of_a_record_are_read_back(config, package):
