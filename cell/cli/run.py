@@ -23,6 +23,7 @@ from cell.cli.shared import (
     group,
     interrupted_once,
     refuse,
+    tell_notes,
 )
 from cell.cli.streams import OutputClosedError, emit, silence
 
@@ -258,11 +259,12 @@ def _refusing_first(results: Sequence[Result]) -> Iterator[None]:
 def _start(products: Products, options: RunOptions) -> tuple[str | None, Settings, Calibrated]:
     """First product, its settings and calibration.  Raises InputError: nothing may move yet."""
     from cell.settings.calibrated import calibrated
-    from cell.settings.starting import refuse_examples
+    from cell.settings.starting import refuse_examples, unmeasured_notes
 
     first = _first(products, options)
     settings = products.default if first is None else products.settings[first]
     refuse_examples(settings, options.config, inserts=not options.dry_run)
+    tell_notes(unmeasured_notes(settings, options.config))
     known = products.calibrations[first] if first else calibrated(settings, options.config)
     return first, settings, known
 

@@ -146,7 +146,7 @@ def check(config: Config, runs: Runs = Path("runs")) -> None:
     from cell.settings.calibrated import calibrated, not_yet_calibrated
     from cell.settings.check import freedoms, oddities
     from cell.settings.loading import products_of
-    from cell.settings.starting import unmeasured
+    from cell.settings.starting import unmeasured_notes
     from cell.settings.translate import picture_size
 
     with refusing():
@@ -156,14 +156,7 @@ def check(config: Config, runs: Runs = Path("runs")) -> None:
         if settings.ledger is not None:
             with ledger_errors():
                 check_file(settings.ledger.url or runs)
-    tell_notes([*oddities(settings), *dict.fromkeys(notes)])
-    if examples := unmeasured(settings):
-        tell_notes(
-            [
-                f"{config}: as in the example of `cell init --real`, so not yet of your cell: "
-                f"{', '.join(examples)}; measure them (`cell help commission`)"
-            ]
-        )
+    tell_notes([*oddities(settings), *dict.fromkeys(notes), *unmeasured_notes(settings, config)])
     map_std_m: float | None = None
     if settings.camera.kind == "sim" and settings.calibration is None:
         map_std_m = 0.0  # its map is exact

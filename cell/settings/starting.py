@@ -124,6 +124,13 @@ def unmeasured(settings: Settings) -> tuple[str, ...]:
     return tuple(dotted(key) for key in same)
 
 
+def unmeasured_notes(settings: Settings, config: Path) -> list[str]:
+    """A note that names the entries of `unmeasured`; none if there are none."""
+    examples = ", ".join(unmeasured(settings))
+    note = f"{config}: as in the example of `cell init --real`, so not yet of your cell: {examples}"
+    return [f"{note}; measure them (`cell help commission`)"] if examples else []
+
+
 def refuse_examples(settings: Settings, config: Path, inserts: bool) -> None:
     """Refuse to move a real arm whose place, or camera's view, is still that of the example.
 

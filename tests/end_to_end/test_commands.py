@@ -96,6 +96,7 @@ def test_hardware_that_is_not_there_fails_by_name_and_ends_with_1(tmp_path: Path
     assert (result["outcome"], result["fault"]["step"]) == ("failed", "connect")
     assert result["fault"]["device"] == "gripper" and result["fault"]["remedy"]
     assert "cable 1 failed in step connect: gripper: " in err
+    assert "not yet of your cell: cable.free_length_m, " in err and "arm.tcp; measure them" in err
 
 
 def test_a_rejected_cable_ends_with_1_and_its_reason(quick_config: Path, tmp_path: Path) -> None:
