@@ -97,11 +97,8 @@ def test_an_arm_whose_place_is_the_examples_does_not_move(
 
 def test_pictures_in_a_folder_are_calibrated_with_the_examples_place(tmp_path: Path) -> None:
     """Nothing moves then."""
-    text = (
-        (CONFIG / "line3.yaml")
-        .read_text("utf-8")
-        .replace("camera:\n", "calibration: {}\ncamera:\n")
-    )
+    stored = f"calibration: {{folder: {tmp_path / 'stored'}}}\ncamera:\n"
+    text = (CONFIG / "line3.yaml").read_text("utf-8").replace("camera:\n", stored)
     config = tmp_path / "line3.yaml"
     config.write_text("".join(li for li in text.splitlines(True) if "view:" not in li), "utf-8")
     command = ["calibrate", "camera", "--config", str(config)]
