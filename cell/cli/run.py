@@ -476,6 +476,6 @@ def _demotion_text(config: Path, settings: Settings, models: tuple[str, str]) ->
         return f"to go back to the model before: cell promote --undo --config {config}{of}"
     try:
         entry = undo(config, settings.product, meant=models)
-    except ValueError as error:
+    except InputError as error:
         return f"the model cannot be taken back: {error}"
     return f"withdrawn, as promotion.withdraw says: {config} has again the model of {entry}"

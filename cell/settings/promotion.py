@@ -213,8 +213,8 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
     product  of the model; None = settings without products
     meant    expected hashes of the present and of the restored model; None = any
     returns  the file in the history with the restored model, now marked as undone
-    raises   ValueError: there is none; InputError: the hashes differ, or the settings would be
-             wrong; nothing is written
+    raises   InputError: there is none, the hashes differ, or the settings would be wrong; nothing
+             is written
     """
     config = config.resolve()
     text = read_exactly(config)
@@ -231,10 +231,8 @@ def undo(config: Path, product: str | None = None, *, meant: tuple[str, str] | N
         if former != present:
             return entry
     of = "" if product is None else f" of product {product}"
-    raise ValueError(
-        f"nothing to undo: no model{of} was promoted into {config}, or every promotion is undone; "
-        f"{history_of(config)} has no earlier settings"
-    )
+    message = f"nothing to undo: no model{of} was promoted here, or every promotion is undone"
+    raise InputError.at(config, f"{message}; {history_of(config)} has no earlier settings")
 
 
 def _hash(config: Path, text: str, product: str | None) -> str:

@@ -57,7 +57,7 @@ class Check(Generic[EvidenceT]):
     """A check of a model: a test statistic, its limit, and the verdict if it fails.
 
     name       code in JSON, and of the warning if there is one
-    unit       of the statistic: p (of noise alone), ln LR, effect off (ln of a likelihood ratio), …
+    unit       of the statistic: p (of noise alone), ln LR (ln of a likelihood ratio), …
     statistic  function of the evidence; None where the check does not apply
     passes     comparison of the statistic with the limit that holds if the check passes
     limit      field of the evidence's `rules`

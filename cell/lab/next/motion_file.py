@@ -130,6 +130,7 @@ class Suggestion:
         return {
             "format": "cable-suggestion/1",
             "candidates": list(self.candidates),
+            "separated": self.separated,
             "options": [
                 {
                     **vars(o.motion),

@@ -87,8 +87,8 @@ def _without_effect(result: LearningResult) -> str:
     verdict = learning_verdict(result, outcomes)
     if verdict == "complete":
         return (
-            f"{nothing}: the model is complete; this excludes no effect too small for these "
-            "cycles, `cell diagnose` on a cycle's folder prints which sizes it excludes"
+            f"{nothing}: the model is complete for these cycles; smaller effects are possible "
+            "(`cell diagnose` on a cycle's folder prints which sizes it excludes)"
         )
     if verdict == "unexplained":
         return f"{nothing}, and {reasons[0].lower()}{reasons[1:-1]}: {LAWS}"

@@ -151,7 +151,7 @@ MAY_BE_CLAIMED: tuple[Check[Evidence], ...] = (
     Check(
         "heldout_insensitive",
         "Are the held-out trials sensitive to each named effect?",
-        "ln LR, effect off",
+        "ln LR",
         check_statistics.least_visible,
         ">=",
         "heldout_gain",

@@ -88,7 +88,7 @@ def test_a_second_promotion_replaces_the_first_between_its_neighbours(
     config.write_text(after.replace("lag_s: 0.03", "lag_s: 0.031  # measured"), encoding="utf-8")
     undo(config)
     assert config.read_text("utf-8") == before.replace("lag_s: 0.03", "lag_s: 0.031  # measured")
-    with pytest.raises(ValueError, match=r"^nothing to undo: no model"):
+    with pytest.raises(InputError, match=r":1: nothing to undo: no model"):
         undo(config)
 
 
@@ -300,7 +300,7 @@ def test_undoing_one_product_leaves_what_was_promoted_for_another(
     settings = load_settings(with_products)
     assert for_product(settings, "soft").model == settings.model
     assert for_product(settings, "stiff").model.effects[0].effect == "air_drag"
-    with pytest.raises(ValueError, match=r"^nothing to undo: no model"):
+    with pytest.raises(InputError, match=r":1: nothing to undo: no model"):
         undo(with_products, "soft")
 
 

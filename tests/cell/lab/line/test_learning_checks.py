@@ -66,7 +66,7 @@ def test_a_complete_model_says_what_was_tried_and_what_it_does_not_exclude() -> 
     first, last = learning_lines(result())
     assert first.endswith("the measured noise is 0.100 mm")
     assert last.startswith("no effect was tried, because the error beyond the noise is below 0.005")
-    assert "excludes no effect too small for these cycles" in last
+    assert "complete for these cycles; smaller effects are possible (`cell diagnose`" in last
     tried = learning_lines(result(1.02e-4))[-1]
     assert tried.startswith("no effect of the library explains more than chance: the model is comp")
 

@@ -57,7 +57,7 @@ def test_intervals_say_from_which_trials_they_are(make_study):
 
 def test_sensitivity_of_heldout_trials_is_not_called_evidence():
     (check,) = [c for c in CHECKS if c.name == "heldout_insensitive"]
-    assert "sensitive" in check.question and check.unit == "ln LR, effect off"
+    assert "sensitive" in check.question and check.unit == "ln LR"
     assert "no evidence" in check.reason
 
 
